@@ -1,0 +1,1 @@
+"""The offline side: SERL training, and populations to ONNX. Meets the runtime only in files."""

@@ -1,0 +1,1 @@
+"""Safety-informed evolutionary reinforcement learning: TD3 and a genetic population."""

@@ -1,0 +1,1 @@
+"""Scripted flights: what happens, how it is flown, scored and reported."""

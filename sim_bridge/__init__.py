@@ -1,0 +1,1 @@
+"""The aircraft behind MAVLink: JSBSim's Citation, its faults and sensors, and the bridge."""

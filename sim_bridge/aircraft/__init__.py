@@ -1,0 +1,1 @@
+"""The Cessna Citation for JSBSim: identified from recordings, generated, validated."""
