@@ -1,0 +1,73 @@
+# Understudy. `make help` lists the targets.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP     = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+export OMP_NUM_THREADS ?= 1
+
+SCENARIO   ?= cg_shift
+POPULATION ?= populations/serl10
+CONFIG     ?= serl10
+RUN        ?= runs/$(CONFIG)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup setup-dev fly test lint train export aircraft chapter8 results bench bench-train clean
+
+help: ## Show this help
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "Variables: SCENARIO=$(SCENARIO) POPULATION=$(POPULATION) CONFIG=$(CONFIG) ARGS='extra arguments'"
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.sim: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e '.[sim]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e '.[dev]'
+	@touch $@ $(VENV)/.sim
+
+setup: $(VENV)/.sim ## Install what flies and the simulator (no torch)
+
+setup-dev: $(VENV)/.dev ## Install everything: training, export, tests
+
+fly: setup ## Fly SCENARIO in all modes over MAVLink; table and report (ARGS=--realtime for wall clock)
+	$(BIN)/understudy fly $(SCENARIO) --population $(POPULATION) $(ARGS)
+
+test: setup-dev ## Run the tests, the linter, the type checker and the walls
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: setup-dev ## Format and fix what can be fixed by itself
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+train: setup-dev ## Train a population: CONFIG=serl10 | serl50 | td3; resumes where it stopped
+	$(BIN)/understudy train $(CONFIG) --out $(RUN) $(ARGS)
+
+export: setup-dev ## Export RUN to populations/CONFIG
+	$(BIN)/understudy export $(RUN) populations/$(CONFIG) $(ARGS)
+
+aircraft: setup-dev ## Validate the Citation against recordings; prints the table
+	$(BIN)/understudy aircraft validate $(ARGS)
+
+chapter8: setup-dev ## The thesis's sudden CG shift: modes x references, into results/
+	$(BIN)/python -m scenarios.chapter8 --population $(POPULATION) $(ARGS)
+
+results: setup ## Render docs/results.md from results/*.json
+	$(BIN)/understudy results
+
+bench: setup-dev ## Cost of the cycle, the link and the imagination beside their peers, as ratios
+	$(BIN)/python -m bench.cycle
+	$(BIN)/python -m bench.link
+	$(BIN)/python -m bench.imagination
+
+bench-train: setup-dev ## Training speed beside a straightforward implementation
+	$(BIN)/python -m bench.train
+
+clean: ## Remove what flights and training left behind
+	rm -rf flights runs .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
