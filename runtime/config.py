@@ -1,0 +1,193 @@
+"""Every number of the runtime, with its unit and its reason; two named presets of the adaptation."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from task.config import Settings, convert, read_bytes
+from task.errors import UserError
+from task.limits import DT
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Fraction = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+
+Switch = Literal["none", "hard", "soft"]
+
+
+class Adaptation(Settings):
+    """How the aircraft is identified, when the cast is imagined, and when and how it changes (thesis chapter 8).
+
+    The defaults are the preset ``understudy``.
+    """
+
+    switch: Switch = "soft"
+    """``none`` flies the champion throughout; ``hard`` copies the winner's parameters; ``soft`` blends them (eq. 8.8)."""
+
+    model: Literal["full", "reduced"] = "reduced"
+    """``full`` identifies all ten states (eq. 8.2); ``reduced`` the six dynamic ones, attitude and altitude following
+    from their exact kinematics."""
+
+    prior: Literal["none", "population"] = "population"
+    """``none`` starts from Theta = 0, P = p0 I; ``population`` from the model prior shipped with the population
+    (reduced model only)."""
+
+    p0: Positive = 1e12
+    """Scale of the identity that P starts from when there is no prior [1/unit^2]. The thesis gives no number. Increments
+    at 100 Hz are 1e-5..1e-4, so 1e6 is a heavy ridge that holds G near zero for a whole flight; 1e12 is what "no prior
+    knowledge" asks for."""
+
+    kappa: Fraction = 0.9995
+    """Forgetting factor of eqs 8.5-8.6, each sample. 0.9995 remembers 20 s at 100 Hz. The thesis gives no number."""
+
+    p_growth_limit: Positive = 1e3
+    """Forgetting is suspended while trace(P) exceeds this multiple of its initial trace, so that a long quiet flight
+    cannot wind P up. Quiet flight alone reaches it after 138 s at kappa = 0.9995."""
+
+    identify: bool = True
+    """False leaves the model at its prior for the whole flight (the frozen nominal model)."""
+
+    lowpass_hz: NotNegative = 0.0
+    """Cut-off of a second-order Butterworth low-pass on state and command increments alike [Hz]; 0 for none. About 1.5
+    Hz makes identification possible with noisy rate gyros."""
+
+    t_play: Positive = 2.0
+    """Time between two imaginations of the population [s]."""
+
+    horizon: Positive = 4.0
+    """How far each imagination looks, t_h [s]."""
+
+    preview: bool = True
+    """True imagines with the future reference where it is known; False holds the present one."""
+
+    play_delay_ticks: Annotated[int, msgspec.Meta(ge=1)] = 10
+    """In lockstep an imagination asked for at tick k decides at tick k + this [samples]."""
+
+    max_age: Positive = 1.0
+    """In real time an imagination older than this decides nothing [s]."""
+
+    margin: NotNegative = 0.10
+    """The best member replaces the incumbent if its return R beats R_incumbent by margin * |R_incumbent|. Returns are
+    negative: a margin of 0.5 asks the new member to lose at most half of what the incumbent is predicted to lose."""
+
+    rho: Fraction = 0.05
+    """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
+
+    def __post_init__(self) -> None:
+        if self.prior == "population" and self.model == "full":
+            raise ValueError(
+                "prior = 'population' exists for model = 'reduced' alone; set prior = 'none' or that model"
+            )
+
+
+class Operation(Settings):
+    """How the loop keeps time and what it does when something is missing."""
+
+    dt: Positive = DT
+    """Sample time of the loop [s]; the populations are trained for 0.01 s."""
+
+    start_patience: Positive = 60.0
+    """How long to wait for the first state [s of wall clock]."""
+
+    patience: Positive = 15.0
+    """How long to wait for a state in mid-flight before giving up [s of wall clock]. A bridge that comes back within it
+    starts a new flight."""
+
+    hold_time: NotNegative = 0.5
+    """With no usable state the last good command is held for this long, then fades to trim [s]."""
+
+    fade_time: Positive = 1.0
+    """Time of the fade from the held command to trim [s]."""
+
+    trim_time: Positive = 5.0
+    """Time constant of the running mean of good commands that stands for trim [s]; until there is one, trim is zero
+    deflection."""
+
+    missed_factor: Annotated[float, msgspec.Meta(gt=1.0)] = 1.5
+    """In real time a sample that is not there after this many sample times counts as missed."""
+
+    core: Annotated[int, msgspec.Meta(ge=-1)] = -1
+    """CPU core that the control thread is pinned to in real time; -1 pins to none."""
+
+    flush_ticks: Annotated[int, msgspec.Meta(ge=1)] = 25
+    """The log is handed to the operating system every so many samples; what is there survives a kill -9."""
+
+
+class Configuration(Settings):
+    """Everything that decides a flight but the population and the reference; saved beside each log."""
+
+    preset: str
+    """The preset that the values started from."""
+    adaptation: Adaptation
+    operation: Operation = Operation()
+
+
+PRESETS: dict[str, Adaptation] = {
+    "understudy": Adaptation(),
+    "thesis": Adaptation(
+        model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
+    ),
+}
+"""``understudy`` is the recommended one. ``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h =
+2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning of 50 % for negative returns are our reading."""
+
+
+def _value(text: str) -> Any:
+    """Return the TOML value that ``text`` spells, or the text itself."""
+    try:
+        return tomllib.loads(f"v = {text}")["v"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _table_of(key: str) -> str:
+    """Return which table of the configuration knows ``key``."""
+    known = {f.name: t for t, kind in (("adaptation", Adaptation), ("operation", Operation)) for f in _fields(kind)}
+    if key not in known:
+        raise UserError(f"--set {key}: unknown key; known keys: {', '.join(known)}")
+    return known[key]
+
+
+def _fields(kind: type[Settings]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    return msgspec.structs.fields(kind)
+
+
+def resolve(
+    preset: str | None = None,
+    file: Path | None = None,
+    overrides: tuple[str, ...] = (),
+    switch: str | None = None,
+) -> Configuration:
+    """Return the configuration: preset, then the file over it, then ``key=value`` overrides, then ``switch``.
+
+    The file is TOML with an optional ``preset`` and tables ``[adaptation]`` and ``[operation]``. A preset given here
+    beats the one in the file. Raises UserError naming the file or option, the key, expected and got.
+    """
+    data: dict[str, Any] = {}
+    if file is not None:
+        try:
+            data = tomllib.loads(read_bytes(file, "configuration").decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise UserError(f"{file}: not valid TOML: {error}") from None
+    name = preset or data.get("preset") or "understudy"
+    if name not in PRESETS:
+        raise UserError(f"preset {name!r}: unknown; choose one of {', '.join(PRESETS)}")
+    data["preset"] = name
+    tables = {"adaptation": msgspec.to_builtins(PRESETS[name]), "operation": {}}
+    for table, values in tables.items():
+        given = data.get(table, {})
+        data[table] = values | given if isinstance(given, dict) else given
+    if file is not None:
+        convert(data, Configuration, str(file))
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals:
+            raise UserError(f"--set {override}: expected key=value, as in --set kappa=0.999")
+        data[_table_of(key.strip())][key.strip()] = _value(text.strip())
+    if switch is not None:
+        data["adaptation"]["switch"] = switch
+    return convert(data, Configuration, "--set" if overrides else "configuration")

@@ -1,0 +1,222 @@
+"""The model learnt in flight: recursive least squares (eqs 8.5-8.7) on state increments (eq. 8.2).
+
+Nothing here allocates an array after construction: every product has its place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from runtime.config import Adaptation
+from runtime.lowpass import LowPass
+from task.errors import UserError
+from task.limits import DT
+from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
+from task.state import N_ACTION, N_IDENTIFIED, STATE
+
+
+class RecursiveLeastSquares:
+    """y = Theta' z with exponential forgetting.
+
+    Shapes: z (n,), y (m,), ``Theta`` (n, m) (eq. 8.4), ``P`` (n, n), ``innovation`` (m,) (eq. 8.7).
+
+    P stays symmetric to the last bit, because eq. 8.6 subtracts v v' with v = P z / sqrt(kappa + z' P z). Against
+    blow-up: forgetting is suspended while trace(P) is above ``trace_limit``; an update whose denominator is not
+    positive and finite, or whose innovation is not finite, is skipped and counted; a P that is no longer finite starts
+    the recursion again from its prior, counted too.
+    """
+
+    def __init__(self, theta0: np.ndarray, p0: np.ndarray, kappa: float, trace_limit: float = np.inf) -> None:
+        n, m = theta0.shape
+        self._theta0 = np.array(theta0, dtype=float)
+        self._p0 = np.array(p0, dtype=float)
+        self.kappa = kappa
+        self.trace_limit = trace_limit
+        self.Theta = self._theta0.copy()
+        self.P = self._p0.copy()
+        self.innovation = np.zeros(m)
+        self.updates = 0
+        self.skipped = 0
+        self.restarts = 0
+        self._diagonal = self.P.reshape(-1)[:: n + 1]
+        self._ones_n, self._ones_m = np.ones(n), np.ones(m)
+        self._predicted = np.zeros(m)
+        self._Pz, self._v = np.zeros(n), np.zeros(n)
+        self._v_column, self._v_row, self._innovation_row = self._v[:, None], self._v[None, :], self.innovation[None, :]
+        self._theta_step, self._p_step = np.zeros((n, m)), np.zeros((n, n))
+
+    @property
+    def trace(self) -> float:
+        """Trace of P: how little is known."""
+        return float(np.dot(self._diagonal, self._ones_n))
+
+    def reset(self) -> None:
+        """Start again from the prior."""
+        self.Theta[:] = self._theta0
+        self.P[:] = self._p0
+        self.innovation[:] = 0.0
+        self.updates = 0
+
+    def predict(self, z: np.ndarray, y: np.ndarray) -> None:
+        """Set the innovation, y - Theta' z, and learn nothing."""
+        np.dot(z, self.Theta, out=self._predicted)
+        np.subtract(y, self._predicted, out=self.innovation)
+
+    def update(self, z: np.ndarray, y: np.ndarray) -> None:
+        """Learn from one sample (eqs 8.5-8.7). z: (n,) regressor; y: (m,) measured outcome."""
+        self.predict(z, y)
+        np.dot(self.P, z, out=self._Pz)
+        denominator = self.kappa + float(np.dot(z, self._Pz))
+        surprise = float(np.dot(self.innovation, self._ones_m))
+        trace = self.trace
+        if not -np.inf < trace < np.inf:
+            self.reset()
+            self.restarts += 1
+            return
+        if not (0.0 < denominator < np.inf and -np.inf < surprise < np.inf):
+            self.skipped += 1
+            return
+        np.divide(self._Pz, denominator, out=self._v)
+        np.dot(self._v_column, self._innovation_row, out=self._theta_step)
+        np.add(self.Theta, self._theta_step, out=self.Theta)
+        np.divide(self._Pz, denominator**0.5, out=self._v)
+        np.dot(self._v_column, self._v_row, out=self._p_step)
+        np.subtract(self.P, self._p_step, out=self.P)
+        if trace < self.trace_limit:
+            np.divide(self.P, self.kappa, out=self.P)
+        self.updates += 1
+
+
+class Snapshot(NamedTuple):
+    """What the imagination starts from; every array is a copy, float32.
+
+    x (10,) state; dx (10,) its last increment; commands (command_lag + 1, 3) the last commands sent, oldest first
+    [rad]; model (13, 10) as in :mod:`task.model`; exact_kinematics: whether attitude and altitude follow from it.
+    """
+
+    x: np.ndarray
+    dx: np.ndarray
+    commands: np.ndarray
+    model: np.ndarray
+    exact_kinematics: bool
+
+
+class IncrementalModel:
+    """Keeps increments and the command lag, feeds the recursion, and hands out snapshots.
+
+    Once a sample: :meth:`observe` with the state, then :meth:`command` with the command answered to it.
+    ``command_lag`` L: the command a[k] first moves x[k+1+L] - x[k+L], so dx[k] is explained by
+    dx[k-1] and a[k-1-L] - a[k-2-L], where dx[k] = x[k] - x[k-1].
+    """
+
+    def __init__(
+        self,
+        settings: Adaptation,
+        command_lag: int,
+        theta0: np.ndarray | None = None,
+        p0: np.ndarray | None = None,
+        dt: float = DT,
+    ) -> None:
+        self.settings = settings
+        self.command_lag = command_lag
+        self.exact_kinematics = settings.model == "reduced"
+        self._rows = np.array(REDUCED_REGRESSORS if self.exact_kinematics else range(N_REGRESSORS))
+        self.outputs = tuple(STATE(i) for i in (DYNAMIC if self.exact_kinematics else range(N_IDENTIFIED)))
+        """The states whose increments are identified, in the order of the innovation."""
+        theta0, p0 = self._prior(theta0, p0)
+        self.rls = RecursiveLeastSquares(theta0, p0, settings.kappa, settings.p_growth_limit * float(np.trace(p0)))
+        self._commands = np.zeros((command_lag + 2, N_ACTION))
+        self._slots = list(self._commands)
+        self._x = np.zeros(N_IDENTIFIED)
+        self._moved = np.zeros(N_REGRESSORS)
+        """The increment of the state, and that of the command which moved it."""
+        self._moved_dx, self._moved_da = self._moved[:N_IDENTIFIED], self._moved[N_IDENTIFIED:]
+        self._y = self._moved[: len(self.outputs)]
+        self._regressors = np.zeros(N_REGRESSORS)
+        """The last increment of the state, and the same command."""
+        self._dx, self._da = self._regressors[:N_IDENTIFIED], self._regressors[N_IDENTIFIED:]
+        self._z = np.zeros(len(self._rows))
+        self._filter = LowPass(settings.lowpass_hz, dt, N_REGRESSORS) if settings.lowpass_hz else None
+        self._warm_up = 2 if self._filter is None else 2 + self._filter.settling
+        self._learn = self.rls.update if settings.identify else self.rls.predict
+        self.restart_history()
+
+    def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        shape = (len(self._rows), len(self.outputs))
+        if self.settings.prior == "none":
+            return np.zeros(shape), self.settings.p0 * np.eye(shape[0])
+        if theta0 is None or p0 is None:
+            raise UserError("prior = 'population', but the population brings no model prior; --set prior=none")
+        if theta0.shape != shape or p0.shape != (shape[0], shape[0]):
+            raise UserError(
+                f"model prior: expected theta {shape} and p0 {(shape[0],) * 2}, got {theta0.shape} and {p0.shape}"
+            )
+        return np.asarray(theta0, float), np.asarray(p0, float)
+
+    def reset(self) -> None:
+        """Start a new flight: prior and no history."""
+        self.rls.reset()
+        self.restart_history()
+
+    def restart_history(self) -> None:
+        """Forget the last samples, not the model: the next increments would span a gap."""
+        self._states = 0
+        self._sent = 0
+        self._dx[:] = 0.0
+        if self._filter is not None:
+            self._filter.reset()
+
+    @property
+    def ready(self) -> bool:
+        """True when there is enough of the past to form a regressor, and the low-pass has forgotten its start."""
+        return self._states > self._warm_up and self._sent >= len(self._slots)
+
+    def observe(self, x: np.ndarray) -> bool:
+        """Take the state x (>= 10,) of this sample; return whether the model learnt from it."""
+        x = x[:N_IDENTIFIED]
+        np.subtract(x, self._x, out=self._moved_dx)
+        _wrap(self._moved_dx, STATE.phi)
+        _wrap(self._moved_dx, STATE.psi)
+        np.subtract(self._slots[1], self._slots[0], out=self._moved_da)
+        np.copyto(self._x, x)
+        self._states += 1
+        if self._states == 1:
+            return False
+        if self._filter is not None:
+            self._filter.filter(self._moved)
+        learnt = self.ready
+        if learnt:
+            np.copyto(self._da, self._moved_da)
+            np.take(self._regressors, self._rows, out=self._z, mode="clip")
+            self._learn(self._z, self._y)
+        np.copyto(self._dx, self._moved_dx)
+        return learnt
+
+    def command(self, action: np.ndarray) -> None:
+        """Take the command (3,) [rad] that was sent in answer to the last state."""
+        for older, newer in zip(self._slots, self._slots[1:], strict=False):
+            np.copyto(older, newer)
+        np.copyto(self._slots[-1], action)
+        self._sent += 1
+        if self._sent == 1:
+            self._commands[:] = action
+
+    def snapshot(self) -> Snapshot:
+        """Return what the imagination starts from; call it between :meth:`observe` and :meth:`command`."""
+        theta = self.rls.Theta
+        model = embed_reduced(theta) if self.exact_kinematics else theta
+        return Snapshot(
+            self._x.astype(np.float32),
+            self._dx.astype(np.float32),
+            self._commands[1:].astype(np.float32),
+            model.astype(np.float32),
+            self.exact_kinematics,
+        )
+
+
+def _wrap(dx: np.ndarray, angle: int) -> None:
+    """Bring the increment of an angle into (-pi, pi]."""
+    if not -np.pi < dx[angle] <= np.pi:
+        dx[angle] -= 2.0 * np.pi * np.round(dx[angle] / (2.0 * np.pi))
