@@ -34,13 +34,9 @@ def kinematic_rates(x: np.ndarray) -> np.ndarray:
     sin_beta, cos_beta = np.sin(x[..., STATE.beta]), np.cos(x[..., STATE.beta])
     yawing = (q * sin_phi + r * cos_phi) / cos_theta
     climb = (
-        cos_alpha * cos_beta * sin_theta
-        - sin_beta * sin_phi * cos_theta
-        - sin_alpha * cos_beta * cos_phi * cos_theta
+        cos_alpha * cos_beta * sin_theta - sin_beta * sin_phi * cos_theta - sin_alpha * cos_beta * cos_phi * cos_theta
     )
-    return np.stack(
-        [p + yawing * sin_theta, q * cos_phi - r * sin_phi, yawing, x[..., STATE.V] * climb], axis=-1
-    )
+    return np.stack([p + yawing * sin_theta, q * cos_phi - r * sin_phi, yawing, x[..., STATE.V] * climb], axis=-1)
 
 
 def predict_increment(

@@ -91,6 +91,7 @@ def random_reference(
             levels = rng.uniform(-amplitude, amplitude, count)
         else:
             levels = rng.choice(np.linspace(-amplitude, amplitude, kind.levels), count)
+            levels[0] = 0.0  # the published evaluation references begin with a block at trim
         return cosine_steps(levels, duration, duration * kind.smoothing, dt)
 
     theta = draw(kind.theta)
