@@ -1,0 +1,117 @@
+"""A population's folder, written whole or not at all, and flown once in onnxruntime before it gets its name."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+
+from export.behaviour import behaviour
+from export.imagination import imagination
+from export.manifest import MANIFEST, Manifest, describe
+from export.network import unflatten
+from export.population import PARAMETERS, Population, checked
+from export.prior import COMMAND_LAG, Prior
+from task.config import to_json
+from task.errors import UserError
+from task.model import embed_reduced
+
+BEHAVIOUR = "behaviour.onnx"
+IMAGINATION = "imagination.onnx"
+PRIOR = "model_prior.npz"
+TRAINING = "training"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what writes the folder."""
+    packages = {name: metadata.version(name) for name in ("understudy", "numpy", "onnx", "onnxruntime")}
+    return packages | {"onnx_opset": str(onnx.defs.onnx_opset_version())}
+
+
+def write_population(
+    population: Population,
+    prior: Prior,
+    folder: Path,
+    records: Mapping[str, Path] | None = None,
+    lag: int = COMMAND_LAG,
+) -> Manifest:
+    """Write ``folder``; return its manifest.
+
+    records: files copied to ``training/`` under their names. The folder appears complete, checked against its own
+    golden samples, or does not appear; an older population of that name is replaced. Raises UserError when the
+    population does not hold together or ``folder`` holds something else.
+    """
+    checked(population, folder.name)
+    if folder.exists() and not (folder.is_dir() and ((folder / MANIFEST).exists() or not any(folder.iterdir()))):
+        raise UserError(f"{folder}: exists and is not a population; choose another folder or remove it")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
+        made = Path(temporary) / "new"
+        made.mkdir()
+        manifest = _fill(made, population, prior, folder.name, records or {}, lag)
+        verify(made, manifest, population, prior)
+        if folder.exists():
+            folder.rename(Path(temporary) / "old")
+        made.rename(folder)
+    return manifest
+
+
+def _fill(
+    folder: Path, population: Population, prior: Prior, name: str, records: Mapping[str, Path], lag: int
+) -> Manifest:
+    np.save(folder / PARAMETERS, population.parameters, allow_pickle=False)
+    np.savez(folder / PRIOR, theta=prior.theta, p0=prior.p0)
+    (folder / BEHAVIOUR).write_bytes(behaviour(population.network).SerializeToString())
+    graph = imagination(population.network, population.parameters, lag)
+    (folder / IMAGINATION).write_bytes(graph.SerializeToString())
+    if records:
+        (folder / TRAINING).mkdir()
+    for record, source in records.items():
+        shutil.copyfile(source, folder / TRAINING / record)
+    manifest = describe(population, prior, folder, name, versions(), lag)
+    (folder / MANIFEST).write_bytes(to_json(manifest))
+    return manifest
+
+
+def session(path: Path) -> onnxruntime.InferenceSession:
+    """Return a single-threaded session of a graph."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+
+
+def verify(folder: Path, manifest: Manifest, population: Population, prior: Prior) -> None:
+    """Raise RuntimeError unless both graphs give the golden samples within their tolerances."""
+    golden = manifest.golden_actions
+    policy = session(folder / BEHAVIOUR)
+    worst = 0.0
+    for parameters, answers in zip(population.parameters, golden.actions, strict=True):
+        tensors = unflatten(population.network, parameters)
+        for s, answer in zip(golden.observations, answers, strict=True):
+            action = policy.run(None, {"observation": np.array([s], dtype=np.float32), **tensors})[0]
+            worst = max(worst, float(np.abs(action[0] - answer).max()))
+    _within("behaviour", worst, golden.tolerance)
+
+    play = manifest.golden_imagination
+    vectors = {name: np.array(getattr(play, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")}
+    returns = session(folder / IMAGINATION).run(
+        None,
+        {
+            **vectors,
+            "model": embed_reduced(prior.theta).astype(np.float32),
+            "exact_kinematics": np.array(True),
+            "incumbent": population.parameters[play.incumbent],
+        },
+    )[0]
+    _within("imagination", float(np.abs(returns - play.returns).max()), play.tolerance)
+
+
+def _within(graph: str, difference: float, tolerance: float) -> None:
+    if not difference <= tolerance:
+        raise RuntimeError(f"{graph}.onnx differs from its reference by {difference:.2e}, tolerance {tolerance:.0e}")

@@ -1,0 +1,173 @@
+"""The imagination: a worker thread that plays the whole cast in the identified model, one ONNX call per question.
+
+onnxruntime releases the interpreter while it plays, so that the control thread never waits for it. It asks with
+:meth:`Imagination.request` and looks with :meth:`Imagination.result`, or waits, in lockstep, with
+:meth:`Imagination.wait`.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from runtime.population import IMAGINATION, IMAGINATION_INPUTS, Population, make_session
+from task.model import N_REGRESSORS
+from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
+
+WAIT_BOUND = 60.0
+"""Longest wait for one imagination in lockstep [s of wall clock]; such a flight has gone wrong for other reasons."""
+
+
+class Snapshot(NamedTuple):
+    """What an imagination starts from."""
+
+    x: np.ndarray
+    """(10,) state."""
+    dx: np.ndarray
+    """(10,) its last increment."""
+    commands: np.ndarray
+    """(command_lag + 1, 3) the last commands sent [rad], oldest first."""
+    model: np.ndarray
+    """(13, 10) Theta of the incremental model, :mod:`task.model`."""
+    exact_kinematics: bool
+    """Whether attitude and altitude follow from their kinematics instead of the model."""
+    reference: np.ndarray
+    """(H + 1, 3) [rad], row t is t samples after x; H is the horizon of this question."""
+    incumbent: np.ndarray
+    """(K,) the behavioural policy's own parameters."""
+
+
+class Prediction(NamedTuple):
+    """What an imagination found."""
+
+    returns: np.ndarray
+    """(P + 1,) predicted return of each member and, last, of the incumbent; all NaN when it failed."""
+    tick_requested: int
+    """The tick of the state that it started from."""
+    seconds: float
+    """Wall time that it took."""
+    error: str = ""
+    """Why it failed, in one line; empty when it did not."""
+
+
+class _Buffers:
+    """One place for a question's arrays, made once for the longest horizon."""
+
+    def __init__(self, population: Population, horizon: int) -> None:
+        self.x = np.zeros(N_IDENTIFIED, dtype=np.float32)
+        self.dx = np.zeros(N_IDENTIFIED, dtype=np.float32)
+        self.commands = np.zeros((population.command_lag + 1, N_ACTION), dtype=np.float32)
+        self.model = np.zeros((N_REGRESSORS, N_IDENTIFIED), dtype=np.float32)
+        self.exact_kinematics = np.zeros((), dtype=bool)
+        self.incumbent = np.zeros(population.manifest.n_parameters, dtype=np.float32)
+        self.longest = np.zeros((horizon + 1, N_REFERENCE), dtype=np.float32)
+        self.reference = self.longest
+        self.tick = 0
+        self.serial = 0
+
+    def fill(self, snapshot: Snapshot, tick: int, serial: int) -> None:
+        """Copy a question in; a reference longer than the horizon is cut."""
+        self.x[:] = snapshot.x
+        self.dx[:] = snapshot.dx
+        self.commands[:] = snapshot.commands
+        self.model[:] = snapshot.model
+        self.exact_kinematics[()] = snapshot.exact_kinematics
+        self.incumbent[:] = snapshot.incumbent
+        self.reference = self.longest[: len(snapshot.reference)]
+        self.reference[:] = snapshot.reference[: len(self.longest)]
+        self.tick, self.serial = tick, serial
+
+    def feeds(self) -> dict[str, np.ndarray]:
+        """Return the inputs of the graph, where they lie."""
+        return {name: getattr(self, name) for name in IMAGINATION_INPUTS}
+
+
+class Imagination:
+    """Plays the cast in its own thread and session. The newest question counts: what it replaces has no answer.
+
+    The same question always has the same answer, bit for bit. A play that fails has returns that are all NaN and says
+    why; it does not end the thread. Use it as a context manager, or :meth:`close` it.
+    """
+
+    def __init__(self, population: Population, horizon: int) -> None:
+        """Start the thread. horizon: the most steps H that a question may ask for."""
+        self.failures = 0
+        """Plays that failed so far."""
+        self._session = make_session(population.imagination, IMAGINATION)
+        self._returns = len(population.members) + 1
+        # One pair of hands fills the question to come while the other's is being played.
+        self._next = _Buffers(population, horizon)
+        self._playing = _Buffers(population, horizon)
+        self._serial = 0
+        self._asked = False
+        self._closed = False
+        self._answer: tuple[int, Prediction] | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="imagination", daemon=True)
+        self._thread.start()
+
+    def request(self, snapshot: Snapshot, tick: int) -> None:
+        """Copy a question about the state of ``tick`` and return at once."""
+        with self._changed:
+            self._serial += 1
+            self._next.fill(snapshot, tick, self._serial)
+            self._asked = True
+            self._answer = None
+            self._changed.notify_all()
+
+    def result(self, tick: int) -> Prediction | None:
+        """Return the answer to the question asked at ``tick`` if it is there; never waits."""
+        answer = self._answer
+        if answer is None or answer[0] != self._serial or answer[1].tick_requested != tick:
+            return None
+        return answer[1]
+
+    def wait(self, tick: int, timeout: float = WAIT_BOUND) -> Prediction | None:
+        """Wait for the answer to the question asked at ``tick``; None when there is no such question, or at the bound.
+
+        timeout: bound of the wait [s of wall clock].
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._answer is not None or self._serial == 0 or self._closed, timeout)
+            return self.result(tick)
+
+    def close(self) -> None:
+        """End the thread; a play under way is finished first."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def __enter__(self) -> Imagination:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._asked or self._closed)
+                if self._closed:
+                    return
+                self._asked = False
+                self._next, self._playing = self._playing, self._next
+            prediction = self._play(self._playing)
+            with self._changed:
+                if self._playing.serial == self._serial:
+                    self._answer = self._serial, prediction
+                    self._changed.notify_all()
+
+    def _play(self, question: _Buffers) -> Prediction:
+        start = time.perf_counter()
+        error = ""
+        try:
+            returns = self._session.run(["returns"], question.feeds())[0]
+        except Exception as failure:  # onnxruntime's errors share no base; none of them may end the flight
+            returns = np.full(self._returns, np.nan, dtype=np.float32)
+            error = " ".join(str(failure).split())[:200]
+            self.failures += 1
+        return Prediction(returns, question.tick, time.perf_counter() - start, error)

@@ -1,0 +1,257 @@
+"""The cast: a population folder, verified before it flies, and the behavioural policy with live parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import onnxruntime
+
+from runtime.manifest import Header, Manifest, check, check_header
+from task.config import convert, read_bytes
+from task.errors import UserError
+from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
+from task.state import N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE
+
+MANIFEST = "manifest.json"
+PARAMETERS = "parameters.npy"
+BEHAVIOUR = "behaviour.onnx"
+IMAGINATION = "imagination.onnx"
+PRIOR = "model_prior.npz"
+
+IMAGINATION_INPUTS = ("x", "dx", "commands", "model", "exact_kinematics", "reference", "incumbent")
+
+
+class Population(NamedTuple):
+    """A verified cast; everything that flies comes from these bytes, not from the disk again."""
+
+    manifest: Manifest
+    parameters: np.ndarray
+    """(P, K) float32, read-only: every member's parameters."""
+    behaviour: bytes
+    """ONNX graph of the behavioural policy."""
+    imagination: bytes
+    """ONNX graph of the whole population's rollout."""
+    theta: np.ndarray
+    """(11, 6): prior of the reduced incremental model."""
+    p0: np.ndarray
+    """(11, 11): its uncertainty."""
+    sha256: str
+    """Hash of the manifest, and so of everything: which cast flew."""
+
+    @property
+    def name(self) -> str:
+        """Return the population's name."""
+        return self.manifest.name
+
+    @property
+    def members(self) -> list[str]:
+        """Return the members' names."""
+        return [m.name for m in self.manifest.members]
+
+    @property
+    def champion(self) -> int:
+        """Return the index of the member that flies first."""
+        return self.members.index(self.manifest.champion)
+
+    @property
+    def command_lag(self) -> int:
+        """Return the samples between a command and the increment that it moves, beyond eq. 8.2."""
+        return self.manifest.command_lag
+
+
+def make_session(graph: bytes, what: str) -> onnxruntime.InferenceSession:
+    """Return a session that uses the calling thread alone; raise UserError when the graph is not sound.
+
+    One thread, sequential, no spinning: a pool that spins eats the cores that the other duties need.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 4  # what is wrong is said once, by us
+    try:
+        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises a dozen kinds that share no base
+        raise UserError(
+            f"{what}: onnxruntime cannot load it: {_one_line(error)}; export the population again"
+        ) from None
+
+
+def load_population(folder: Path) -> Population:
+    """Read and verify a population; raise UserError with one line when it is not whole, sound and for this runtime.
+
+    Checked: format and version, SHA-256 of every file that flies, layouts and units, shapes, finite parameters, the
+    graphs' inputs and outputs, and the golden samples of every member and of the imagination.
+    """
+    if not folder.is_dir():
+        raise UserError(f"{folder}: no such population; give a folder that 'understudy export' wrote")
+    raw = read_bytes(folder / MANIFEST, "manifest of a population")
+    manifest = _parse(raw, str(folder / MANIFEST))
+    contents = {name: _verified(folder, name, manifest) for name in (PARAMETERS, BEHAVIOUR, IMAGINATION, PRIOR)}
+    parameters = _array(contents[PARAMETERS], folder / PARAMETERS)
+    expected = (len(manifest.members), manifest.n_parameters)
+    if parameters.dtype != np.float32 or parameters.shape != expected or not np.isfinite(parameters).all():
+        raise UserError(
+            f"{folder / PARAMETERS}: expected finite float32 {expected} (members, parameters), "
+            f"got {parameters.dtype} {parameters.shape}; export the population again"
+        )
+    parameters.setflags(write=False)
+    theta, p0 = _prior(contents[PRIOR], folder / PRIOR)
+    population = Population(
+        manifest,
+        parameters,
+        contents[BEHAVIOUR],
+        contents[IMAGINATION],
+        theta,
+        p0,
+        hashlib.sha256(raw).hexdigest(),
+    )
+    _check_behaviour(population, folder / BEHAVIOUR)
+    _check_imagination(population, folder / IMAGINATION)
+    return population
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:160]
+
+
+def _parse(raw: bytes, where: str) -> Manifest:
+    try:
+        data = msgspec.json.decode(raw)
+    except msgspec.DecodeError as error:
+        raise UserError(f"{where}: not valid JSON: {error}; export the population again") from None
+    check_header(convert(data, Header, where), where)
+    manifest = convert(data, Manifest, where)
+    check(manifest, where)
+    return manifest
+
+
+def _verified(folder: Path, name: str, manifest: Manifest) -> bytes:
+    """Return a file's bytes if they are those that the manifest was written for."""
+    content = read_bytes(folder / name, "file of the population")
+    stated = manifest.files.get(name)
+    found = hashlib.sha256(content).hexdigest()
+    if stated != found:
+        stated_short = f"{stated[:12]}..." if stated else "no hash"
+        raise UserError(
+            f"{folder / name}: SHA-256 {found[:12]}... is not the manifest's {stated_short}: "
+            "the file was changed or damaged; copy or export the population again"
+        )
+    return content
+
+
+def _array(content: bytes, path: Path) -> np.ndarray:
+    try:
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise UserError(f"{path}: not a plain .npy array: {_one_line(error)}") from None
+
+
+def _prior(content: bytes, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    n, m = len(REDUCED_REGRESSORS), len(DYNAMIC)
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            theta, p0 = np.asarray(arrays["theta"], float), np.asarray(arrays["p0"], float)
+    except Exception as error:  # zip, npy and key errors share no base
+        raise UserError(f"{path}: expected arrays theta and p0: {_one_line(error)}") from None
+    if theta.shape != (n, m) or p0.shape != (n, n) or not (np.isfinite(theta).all() and np.isfinite(p0).all()):
+        raise UserError(f"{path}: expected finite theta {(n, m)} and p0 {(n, n)}, got {theta.shape} and {p0.shape}")
+    return theta, p0
+
+
+def _check_interface(
+    session: onnxruntime.InferenceSession, inputs: dict[str, tuple[int | None, ...]], output: str, path: Path
+) -> None:
+    """Raise UserError unless the graph has these inputs (None: any length) and this first output."""
+    got = {i.name: tuple(d if isinstance(d, int) else None for d in i.shape) for i in session.get_inputs()}
+    outputs = [o.name for o in session.get_outputs()]
+    if got != inputs or outputs != [output]:
+        wrong = sorted(set(got.items()) ^ set(inputs.items())) if got != inputs else outputs
+        raise UserError(f"{path}: inputs or output differ from the manifest at {wrong}; export the population again")
+
+
+def _check_behaviour(population: Population, path: Path) -> None:
+    policy = BehaviouralPolicy(population, str(path))
+    golden = population.manifest.golden_actions
+    observations = np.array(golden.observations, dtype=np.float32)
+    expected = np.array(golden.actions)
+    shape = (len(population.members), len(observations), N_ACTION)
+    if expected.shape != shape:
+        raise UserError(f"{path.parent / MANIFEST}: golden_actions: expected {shape}, got {expected.shape}")
+    for member, answers in zip(range(len(population.members)), expected, strict=True):
+        np.copyto(policy.parameters, population.parameters[member])
+        for s, answer in zip(observations, answers, strict=True):
+            difference = float(np.abs(policy.act(s) - answer).max())
+            if not difference <= golden.tolerance:
+                raise UserError(
+                    f"{path}: member {population.members[member]!r} answers a golden sample {difference:.1e} rad off, "
+                    f"tolerance {golden.tolerance:.0e}; export the population again"
+                )
+
+
+def _check_imagination(population: Population, path: Path) -> None:
+    session = make_session(population.imagination, str(path))
+    shapes: dict[str, tuple[int | None, ...]] = {
+        "x": (N_IDENTIFIED,),
+        "dx": (N_IDENTIFIED,),
+        "commands": (population.command_lag + 1, N_ACTION),
+        "model": (N_REGRESSORS, N_IDENTIFIED),
+        "exact_kinematics": (),
+        "reference": (None, N_REFERENCE),
+        "incumbent": (population.manifest.n_parameters,),
+    }
+    _check_interface(session, shapes, "returns", path)
+    golden = population.manifest.golden_imagination
+    feeds = {
+        **{name: np.array(getattr(golden, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")},
+        "model": embed_reduced(population.theta).astype(np.float32),
+        "exact_kinematics": np.array(True),
+        "incumbent": population.parameters[golden.incumbent],
+    }
+    try:
+        returns = session.run(["returns"], feeds)[0]
+        difference = float(np.abs(returns - np.array(golden.returns)).max())
+    except Exception as error:  # shapes that do not fit: whatever onnxruntime or numpy calls it
+        raise UserError(f"{path}: cannot play the golden imagination: {_one_line(error)}") from None
+    if not difference <= golden.tolerance:
+        raise UserError(
+            f"{path}: the golden imagination is {difference:.1e} off, tolerance {golden.tolerance:.0e}; "
+            "export the population again"
+        )
+
+
+class BehaviouralPolicy:
+    """The policy that flies. Its parameters are live: what is written into them flies from the next call on."""
+
+    def __init__(self, population: Population, where: str = BEHAVIOUR) -> None:
+        """Start as the champion; raise UserError when the graph does not fit the manifest."""
+        manifest = population.manifest
+        session = make_session(population.behaviour, where)
+        shapes: dict[str, tuple[int | None, ...]] = {t.name: t.shape for t in manifest.parameters}
+        _check_interface(session, {"observation": (1, N_OBSERVATION), **shapes}, "action", Path(where))
+        self.parameters = population.parameters[population.champion].copy()
+        """(K,) float32, flat, in the manifest's layout; change it in place."""
+        self._observation = np.zeros(N_OBSERVATION, dtype=np.float32)
+        self._action = np.zeros(N_ACTION, dtype=np.float32)
+        # The graph reads and writes these arrays where they lie: nothing is copied or allocated per call.
+        binding = session.io_binding()
+        memory = {"device_type": "cpu", "device_id": 0, "element_type": np.float32}
+        binding.bind_input("observation", shape=(1, N_OBSERVATION), buffer_ptr=self._observation.ctypes.data, **memory)
+        for tensor in manifest.parameters:
+            piece = self.parameters[tensor.offset : tensor.offset + tensor.size]
+            binding.bind_input(tensor.name, shape=tensor.shape, buffer_ptr=piece.ctypes.data, **memory)
+        binding.bind_output("action", shape=(1, N_ACTION), buffer_ptr=self._action.ctypes.data, **memory)
+        self._binding = binding
+        self._run = session.run_with_iobinding
+
+    def act(self, s: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] for an observation (7,), unlimited; the array is reused by the next call."""
+        self._observation[:] = s
+        self._run(self._binding)
+        return self._action
