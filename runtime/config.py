@@ -19,14 +19,14 @@ Fraction = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 Switch = Literal["none", "hard", "soft"]
 
 
-class Adaptation(Settings):
+class Adaptation(Settings, frozen=True, kw_only=True):
     """How the aircraft is identified, when the cast is imagined, and when and how it changes (thesis chapter 8).
 
     The defaults are the preset ``understudy``.
     """
 
     switch: Switch = "soft"
-    """``none`` flies the champion throughout; ``hard`` copies the winner's parameters; ``soft`` blends them (eq. 8.8)."""
+    """``none`` flies the champion throughout; ``hard`` copies the winner's parameters; ``soft`` blends (eq. 8.8)."""
 
     model: Literal["full", "reduced"] = "reduced"
     """``full`` identifies all ten states (eq. 8.2); ``reduced`` the six dynamic ones, attitude and altitude following
@@ -37,8 +37,8 @@ class Adaptation(Settings):
     (reduced model only)."""
 
     p0: Positive = 1e12
-    """Scale of the identity that P starts from when there is no prior [1/unit^2]. The thesis gives no number. Increments
-    at 100 Hz are 1e-5..1e-4, so 1e6 is a heavy ridge that holds G near zero for a whole flight; 1e12 is what "no prior
+    """Scale of the identity that P starts from without a prior [1/unit^2]. The thesis gives no number. Increments at
+    100 Hz are 1e-5..1e-4, so 1e6 is a heavy ridge that holds G near zero for a whole flight; 1e12 is what "no prior
     knowledge" asks for."""
 
     kappa: Fraction = 0.9995
@@ -79,16 +79,18 @@ class Adaptation(Settings):
 
     def __post_init__(self) -> None:
         if self.prior == "population" and self.model == "full":
-            raise ValueError(
-                "prior = 'population' exists for model = 'reduced' alone; set prior = 'none' or that model"
-            )
+            raise ValueError("prior = 'population' needs model = 'reduced'; set prior = 'none'")
 
 
-class Operation(Settings):
+class Operation(Settings, frozen=True, kw_only=True):
     """How the loop keeps time and what it does when something is missing."""
 
     dt: Positive = DT
     """Sample time of the loop [s]; the populations are trained for 0.01 s."""
+
+    reference_from: Literal["zero", "first_state"] = "zero"
+    """Where t = 0 of a reference file lies: at time_usec = 0, so that a runtime that is started again in mid-flight
+    keeps its place, or at the first state, for simulators whose clock does not start at zero."""
 
     start_patience: Positive = 60.0
     """How long to wait for the first state [s of wall clock]."""
@@ -117,13 +119,15 @@ class Operation(Settings):
     """The log is handed to the operating system every so many samples; what is there survives a kill -9."""
 
 
-class Configuration(Settings):
+class Configuration(Settings, frozen=True, kw_only=True):
     """Everything that decides a flight but the population and the reference; saved beside each log."""
 
     preset: str
     """The preset that the values started from."""
     adaptation: Adaptation
+    """How the cast is changed."""
     operation: Operation = Operation()
+    """How the loop is run."""
 
 
 PRESETS: dict[str, Adaptation] = {

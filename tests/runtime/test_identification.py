@@ -15,7 +15,7 @@ THESIS = Adaptation(model="full", prior="none")
 
 @pytest.mark.parametrize("kappa", [0.99, 0.9995, 1.0])
 def test_recursion_equals_a_fading_memory_kalman_filter(kappa):
-    """filterpy with F = I, H = z', Q = 0, R = 1 and alpha^2 = 1/kappa is eqs 8.5-8.7 for one output."""
+    """The oracle, filterpy with F = I, H = z', Q = 0, R = 1 and alpha^2 = 1/kappa, is eqs 8.5-8.7 for one output."""
     rng = np.random.default_rng(1)
     n = 13
     theta0, p0 = rng.normal(size=(n, 1)), 10.0 * np.eye(n)

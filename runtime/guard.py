@@ -1,0 +1,117 @@
+"""The last gate: what may be believed of a state, and what may be sent to the aircraft."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import numpy as np
+
+from runtime.config import Operation
+from task.limits import ACTION_HIGH, ACTION_LOW
+from task.state import N_ACTION, N_STATE, STATE
+
+
+class Health(IntFlag):
+    """What is wrong in this cycle; 0 is well. The log holds the bits."""
+
+    OK = 0
+    STATE_NOT_FINITE = 1
+    STATE_IMPLAUSIBLE = 2
+    STATE_MISSING = 4
+    ACTION_NOT_FINITE = 8
+    ACTION_LIMITED = 16
+    HOLDING = 32
+    """The last good command is held, or fades to trim."""
+    GAP = 64
+    """Samples are missing before this one."""
+
+
+UNUSABLE = Health.STATE_NOT_FINITE | Health.STATE_IMPLAUSIBLE
+"""With one of these the policy is not asked."""
+
+MEANING = {
+    Health.STATE_NOT_FINITE: "the state is not finite",
+    Health.STATE_IMPLAUSIBLE: "the state is beyond what any aircraft does",
+    Health.STATE_MISSING: "no state came",
+    Health.ACTION_NOT_FINITE: "the policy's command is not finite",
+    Health.ACTION_LIMITED: "the policy's command was beyond the limits",
+    Health.HOLDING: "holding the last good command, then trim",
+    Health.GAP: "samples are missing",
+}
+"""Flag: in words."""
+
+PLAUSIBLE = np.full(N_STATE, np.inf)
+"""Largest absolute value of each state that is believed, in SI units: rates 20 rad/s, 1000 m/s, angles within a turn,
+altitude 50 km. Far outside any flight: it catches units and garbage, not manoeuvres."""
+PLAUSIBLE[[STATE.p, STATE.q, STATE.r]] = 20.0
+PLAUSIBLE[STATE.V] = 1000.0
+PLAUSIBLE[[STATE.alpha, STATE.beta, STATE.phi, STATE.theta, STATE.psi]] = 2.0 * np.pi
+PLAUSIBLE[STATE.h] = 5e4
+
+
+class Guard:
+    """Passes good commands and replaces bad ones: first the last good command, then a fade to trim.
+
+    Trim is the running mean of the good commands; zero deflection until there is one. Nothing here raises.
+    """
+
+    TOLERANCE = 1e-6
+    """A command beyond its limit by less than this [rad] is rounding of float32, limited without a flag."""
+
+    def __init__(self, settings: Operation) -> None:
+        self._settings = settings
+        self._blend_in = settings.dt / max(settings.trim_time, settings.dt)
+        self._held = np.zeros(N_ACTION)
+        self._trim = np.zeros(N_ACTION)
+        self._out = np.zeros(N_ACTION)
+        self._magnitude = np.zeros(N_STATE)
+        self._inside = np.zeros(N_STATE, dtype=bool)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start a new flight: nothing is held."""
+        self._good = 0
+        self._without = 0
+        self._held[:] = 0.0
+        self._trim[:] = 0.0
+
+    def check_state(self, x: np.ndarray) -> Health:
+        """Return what is wrong with a state (12,); OK when it may be used."""
+        np.abs(x, out=self._magnitude)
+        np.less_equal(self._magnitude, PLAUSIBLE, out=self._inside)
+        if self._inside.all() and self._magnitude[STATE.xe] < np.inf and self._magnitude[STATE.ye] < np.inf:
+            return Health.OK
+        return Health.STATE_IMPLAUSIBLE if np.isfinite(x).all() else Health.STATE_NOT_FINITE
+
+    def command(self, action: np.ndarray) -> tuple[np.ndarray, Health]:
+        """Return the command (3,) [rad] to send for the policy's ``action``, finite and in limits, and what was wrong.
+
+        The array is reused at the next call.
+        """
+        total = float(action[0]) + float(action[1]) + float(action[2])
+        if not -np.inf < total < np.inf:
+            out, health = self.fallback()
+            return out, health | Health.ACTION_NOT_FINITE
+        np.minimum(action, ACTION_HIGH, out=self._out)
+        np.maximum(self._out, ACTION_LOW, out=self._out)
+        beyond = max(abs(float(a) - float(b)) for a, b in zip(action, self._out, strict=True))
+        self._without = 0
+        np.copyto(self._held, self._out)
+        self._good += 1
+        share = max(self._blend_in, 1.0 / self._good)
+        self._trim += share * (self._out - self._trim)
+        return self._out, Health.ACTION_LIMITED if beyond > self.TOLERANCE else Health.OK
+
+    def fallback(self) -> tuple[np.ndarray, Health]:
+        """Return the command (3,) [rad] for one more sample without a good one; the array is reused."""
+        self._without += 1
+        beyond_hold = self._without * self._settings.dt - self._settings.hold_time
+        fade = min(max(beyond_hold / max(self._settings.fade_time, self._settings.dt), 0.0), 1.0)
+        np.copyto(self._out, self._held)
+        self._out += fade * (self._trim - self._held)
+        return self._out, Health.HOLDING
+
+
+def describe(health: Health) -> str:
+    """Return the flags in words, most telling first."""
+    return "; ".join(text for flag, text in MEANING.items() if flag & health) or "well"

@@ -1,0 +1,190 @@
+"""What a flight leaves behind: the topics of its log, the resolved configuration and a summary beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from runtime.config import Configuration
+from runtime.guard import Health
+from runtime.link import Severity
+from runtime.switching import Decision
+from runtime.ulog import ULog
+from task.config import to_json
+from task.state import ACTION, REFERENCE, STATE
+
+
+class Percentiles(msgspec.Struct, frozen=True):
+    """Spread of a time."""
+
+    count: int
+    p50: float
+    p99: float
+    p999: float
+    max: float
+
+
+def percentiles(values: np.ndarray) -> Percentiles | None:
+    """Return the spread of values (N,); None without any."""
+    if not len(values):
+        return None
+    p50, p99, p999 = np.percentile(values, (50.0, 99.0, 99.9))
+    return Percentiles(len(values), *(round(float(v), 3) for v in (p50, p99, p999, np.max(values))))
+
+
+class Summary(msgspec.Struct, kw_only=True):
+    """One flight in counts and times; what depends on the wall clock is here and not in the log."""
+
+    outcome: str
+    """over, lost, silent, stopped or replaced (the aircraft's side began another flight)."""
+    seconds: float
+    """Simulated time from the first to the last state [s]."""
+    wall_seconds: float
+    cycles: int
+    """States that were answered."""
+    overruns: int
+    """Cycles that took longer than a sample time."""
+    missed: int
+    """Samples that did not come in time (real time)."""
+    skipped: int
+    """States that were there but older than another (real time)."""
+    repeated: int
+    """States that came again and were answered again."""
+    gaps: int
+    """Times that samples were missing between two states."""
+    plays: int
+    plays_skipped: int
+    """Imaginations not asked for, because the last one was still under way."""
+    plays_failed: int
+    switches: int
+    health: dict[str, int]
+    """Cycles in which each flag of ``runtime.guard.Health`` was up."""
+    updates: int
+    """Samples that the model learnt from."""
+    updates_skipped: int
+    restarts: int
+    """Times that the recursion started again from its prior because it was no longer finite."""
+    cycle_us: Percentiles | None
+    """From a state at hand to its command on the way [us]."""
+    imagination_ms: Percentiles | None
+    real_time: list[str] = []
+    """What was asked of the system for real time, and what it gave."""
+    log_error: str = ""
+
+
+def beside(log: Path, what: str) -> Path:
+    """Return the path of a file that accompanies a log: flight.ulg -> flight.summary.json."""
+    return log.with_suffix(f".{what}.json")
+
+
+class Recorder:
+    """Writes one flight; topics and fields as in docs/operations.md."""
+
+    def __init__(
+        self,
+        path: Path,
+        configuration: Configuration,
+        population: str,
+        members: list[str],
+        outputs: tuple[STATE, ...],
+        information: dict[str, str],
+        threaded: bool = False,
+    ) -> None:
+        self.path = path
+        self._log = ULog(path, threaded)
+        self._log.info("sys_name", "Understudy")
+        self._log.info("population", population)
+        self._log.info("members", ",".join(members))
+        for key, text in information.items():
+            self._log.info(key, text)
+        self._parameters(msgspec.to_builtins(configuration))
+        signals = [signal.name for table in (STATE, ACTION) for signal in table]
+        references = [f"{signal.name}_ref" for signal in REFERENCE]
+        self._cycle = self._log.topic(
+            "cycle",
+            [
+                *(("float", name) for name in (*signals, *references, "blend")),
+                ("uint32_t", "tick"),
+                ("int16_t", "member"),
+                ("uint16_t", "health"),
+            ],
+        )
+        self._innovation = self._log.topic(
+            "innovation", [("double", "trace_P"), *(("float", signal.name) for signal in outputs)]
+        )
+        self._play = self._log.topic(
+            "play",
+            [
+                (f"float[{len(members) + 1}]", "returns"),
+                ("float", "lead"),
+                ("float", "age"),
+                ("uint32_t", "tick_asked"),
+                ("int16_t", "member"),
+                ("uint8_t", "action"),
+                ("uint8_t", "reason"),
+            ],
+        )
+        self._log.begin()
+        self._flush_ticks = configuration.operation.flush_ticks
+        self._unflushed = 0
+        beside(path, "config").write_bytes(to_json(configuration))
+
+    def _parameters(self, tree: dict[str, object], prefix: str = "") -> None:
+        """Write the configuration: numbers as parameters, words as information."""
+        for key, value in tree.items():
+            if isinstance(value, dict):
+                self._parameters(value, f"{prefix}{key}.")
+            elif isinstance(value, (bool, int)):
+                self._log.parameter(prefix + key, int(value))
+            elif isinstance(value, float):
+                self._log.parameter(prefix + key, value)
+            else:
+                self._log.info(prefix + key, str(value))
+
+    @property
+    def error(self) -> str:
+        """Why the log ended early; empty while it goes on."""
+        return self._log.error
+
+    def cycle(
+        self,
+        time_usec: int,
+        tick: int,
+        x: np.ndarray,
+        action: np.ndarray,
+        reference: np.ndarray,
+        blend: float,
+        member: int,
+        health: Health,
+    ) -> None:
+        """Record one cycle, and hand the log over every so often."""
+        self._log.write(self._cycle, time_usec, *x, *action, *reference, blend, tick, member, int(health))
+        self._unflushed += 1
+        if self._unflushed >= self._flush_ticks:
+            self._unflushed = 0
+            self._log.flush()
+
+    def innovation(self, time_usec: int, innovation: np.ndarray, trace: float) -> None:
+        """Record what the model did not foresee (eq. 8.7) and trace(P)."""
+        self._log.write(self._innovation, time_usec, trace, *innovation)
+
+    def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:
+        """Record an imagination at the moment that it decides."""
+        self._log.write(
+            self._play, time_usec, *returns, decision.lead, age, tick_asked,
+            decision.member, int(decision.action), int(decision.reason),
+        )  # fmt: skip
+
+    def message(self, time_usec: int, severity: int, text: str) -> None:
+        """Record a line, and hand the log over when it is more than information."""
+        self._log.message(time_usec, severity, text)
+        if severity < Severity.INFO:
+            self._log.flush()
+
+    def close(self, summary: Summary) -> None:
+        """Close the log and write the summary beside it."""
+        self._log.close()
+        summary.log_error = self._log.error
+        beside(self.path, "summary").write_bytes(to_json(summary))

@@ -1,0 +1,138 @@
+"""The references that the flight follows: from a file, with the future known, or live from the link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from task.config import read_bytes
+from task.errors import UserError
+from task.limits import DT
+from task.state import N_REFERENCE, REFERENCE, STATE
+
+COLUMNS = ("t", *(signal.name for signal in REFERENCE))
+"""Columns of a reference file: time [s], then theta, phi, beta [rad]."""
+
+
+class Reference(Protocol):
+    """What the loop asks for. ``t`` is the time of the state in seconds since the flight began."""
+
+    def start(self, x: np.ndarray) -> None:
+        """Begin a flight at the state x (12,)."""
+
+    def at(self, t: float) -> np.ndarray:
+        """Return theta, phi, beta [rad], shape (3,), for time t."""
+
+    def preview(self, t: float, samples: int) -> np.ndarray:
+        """Return the reference at t and the samples after it, shape (samples, 3) float32, as far as it is known."""
+
+
+class RecordedReference:
+    """A reference known beforehand, one row (3,) a sample from t = 0; its last row is held."""
+
+    def __init__(self, rows: np.ndarray, dt: float = DT) -> None:
+        self._rows = np.ascontiguousarray(rows, dtype=float)
+        self._dt = dt
+
+    @property
+    def duration(self) -> float:
+        """Time of the last row [s]."""
+        return (len(self._rows) - 1) * self._dt
+
+    def start(self, x: np.ndarray) -> None:
+        """Do nothing: the file says it all."""
+
+    def _row(self, t: float) -> int:
+        return min(max(round(t / self._dt), 0), len(self._rows) - 1)
+
+    def at(self, t: float) -> np.ndarray:
+        """Return the row at t, shape (3,) [rad]."""
+        return self._rows[self._row(t)]
+
+    def preview(self, t: float, samples: int) -> np.ndarray:
+        """Return the rows from t on, shape (samples, 3) float32; the last one is repeated."""
+        first = self._row(t)
+        known = self._rows[first : first + samples]
+        out = np.empty((samples, N_REFERENCE), dtype=np.float32)
+        out[: len(known)] = known
+        out[len(known) :] = known[-1]
+        return out
+
+
+class LiveReference:
+    """The newest set-point from the link, held until the next; before the first, level at the pitch found."""
+
+    def __init__(self) -> None:
+        self._now = np.zeros(N_REFERENCE)
+        self._told = False
+
+    def set(self, theta: float, phi: float) -> None:
+        """Take a set-point [rad]; beta is asked to be zero. One that is not finite is ignored."""
+        if np.isfinite(theta) and np.isfinite(phi):
+            self._now[REFERENCE.theta], self._now[REFERENCE.phi] = theta, phi
+            self._told = True
+
+    def start(self, x: np.ndarray) -> None:
+        """Begin a flight: hold the pitch of x (12,) with wings level unless a set-point came before."""
+        if not self._told:
+            self._now[REFERENCE.theta] = x[STATE.theta]
+
+    def at(self, t: float) -> np.ndarray:
+        """Return the set-point, shape (3,) [rad]; the array is reused."""
+        return self._now
+
+    def preview(self, t: float, samples: int) -> np.ndarray:
+        """Return the set-point repeated, shape (samples, 3) float32: nobody knows the next one."""
+        return np.tile(self._now.astype(np.float32), (samples, 1))
+
+
+def _read_table(path: Path) -> np.ndarray:
+    """Return the numbers of a file, shape (N, 4)."""
+    data = read_bytes(path, "reference")
+    if path.suffix == ".npy":
+        try:
+            return np.load(path, allow_pickle=False)
+        except ValueError as error:
+            raise UserError(f"{path}: not a NumPy array: {error}") from None
+    lines = [line.strip() for line in data.decode(errors="replace").splitlines()]
+    lines = [line for line in lines if line and not line.startswith("#")]
+    if lines and lines[0][0].isalpha():
+        header = tuple(name.strip() for name in lines[0].split(","))
+        if header != COLUMNS:
+            raise UserError(f"{path}: expected columns {','.join(COLUMNS)}, got {','.join(header)}")
+        lines = lines[1:]
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            rows.append([float(cell) for cell in line.split(",")])
+        except ValueError:
+            raise UserError(f"{path}: row {number} is not {len(COLUMNS)} numbers: {line[:60]!r}") from None
+        if len(rows[-1]) != len(COLUMNS):
+            raise UserError(f"{path}: row {number}: expected {len(COLUMNS)} numbers, got {len(rows[-1])}")
+    return np.array(rows, dtype=float)
+
+
+def load_reference(path: Path, dt: float = DT) -> RecordedReference:
+    """Read a reference from CSV (columns t,theta,phi,beta; header optional) or NPY (N, 4).
+
+    t [s] must rise and start at or before 0; angles in rad. Rows are interpolated onto the loop's samples. Raises
+    UserError for a file that is missing, empty, malformed, not finite, not rising, or in degrees by the look of it.
+    """
+    table = _read_table(path)
+    if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] != len(COLUMNS):
+        raise UserError(f"{path}: expected shape (N, {len(COLUMNS)}) = {','.join(COLUMNS)}, got {table.shape}")
+    if not np.isfinite(table).all():
+        raise UserError(f"{path}: row {int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0]) + 1} is not finite")
+    t, angles = table[:, 0], table[:, 1:]
+    if np.any(np.diff(t) <= 0.0):
+        raise UserError(f"{path}: time must rise; row {int(np.flatnonzero(np.diff(t) <= 0.0)[0]) + 2} does not")
+    if t[0] > 0.0:
+        raise UserError(f"{path}: expected the first row at t = 0 s, got {t[0]:g} s")
+    if np.abs(angles).max() > np.pi:
+        raise UserError(
+            f"{path}: an angle of {np.abs(angles).max():g} rad is more than half a turn; are these degrees?"
+        )
+    grid = np.arange(round(t[-1] / dt) + 1) * dt
+    return RecordedReference(np.column_stack([np.interp(grid, t, column) for column in angles.T]), dt)

@@ -1,0 +1,136 @@
+"""A streaming writer of ULog (docs.px4.io, ULog file format): readable by pyulog, PlotJuggler and Flight Review.
+
+Deterministic: the bytes depend on what is written alone. Only whole records reach the operating system, so that a log
+cut short by a kill -9 is readable to its last flush.
+"""
+
+from __future__ import annotations
+
+import queue
+import struct
+import threading
+from pathlib import Path
+from typing import BinaryIO
+
+from task.errors import UserError
+
+_MAGIC = b"ULog\x01\x12\x35\x01"
+_CODES = {
+    "uint64_t": "Q",
+    "uint32_t": "I",
+    "uint16_t": "H",
+    "uint8_t": "B",
+    "int16_t": "h",
+    "int32_t": "i",
+    "double": "d",
+    "float": "f",
+}
+
+
+class Topic:
+    """One kind of record: a timestamp [us] and named fields, an array where a field says so."""
+
+    def __init__(self, number: int, name: str, fields: list[tuple[str, str]]) -> None:
+        self.name = name
+        self.text = f"{name}:uint64_t timestamp;" + "".join(f"{kind} {field};" for kind, field in fields)
+        layout = "<HBHQ"
+        for kind, _ in fields:
+            base, _, count = kind.partition("[")
+            layout += f"{int(count[:-1]) if count else 1}{_CODES[base]}"
+        self._pack = struct.Struct(layout).pack
+        self._size = struct.calcsize(layout) - 3
+        self._number = number
+
+    def record(self, timestamp: int, *values: float) -> bytes:
+        """Return one data message."""
+        return self._pack(self._size, ord("D"), self._number, timestamp, *values)
+
+
+class ULog:
+    """A log being written. Order: information, parameters and topics, then :meth:`begin`, then records and messages.
+
+    ``threaded`` hands blocks to a thread, so that a slow disk cannot hold the caller up. After an error of the disk
+    nothing more is written, and ``error`` says why; nothing raises.
+    """
+
+    def __init__(self, path: Path, threaded: bool = False) -> None:
+        self.path = path
+        self.error = ""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = path.open("wb", buffering=0)
+        except OSError as error:
+            raise UserError(f"{path}: cannot write the log: {error.strerror}; choose another --log") from None
+        self._topics: list[Topic] = []
+        self._block = bytearray(_MAGIC + bytes(8))
+        self._message(b"B", bytes(40))
+        self._blocks: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._drain, name="log", daemon=True) if threaded else None
+        if self._thread is not None:
+            self._thread.start()
+
+    def _message(self, kind: bytes, payload: bytes) -> None:
+        self._block += struct.pack("<H", len(payload)) + kind + payload
+
+    def info(self, key: str, text: str) -> None:
+        """Write a piece of information."""
+        value = text.encode()
+        name = f"char[{len(value)}] {key}".encode()
+        self._message(b"I", bytes([len(name)]) + name + value)
+
+    def parameter(self, key: str, value: float) -> None:
+        """Write a parameter: int32 for integers and flags, float for the rest."""
+        whole = isinstance(value, int)
+        name = f"{'int32_t' if whole else 'float'} {key}".encode()
+        self._message(b"P", bytes([len(name)]) + name + struct.pack("<i" if whole else "<f", value))
+
+    def topic(self, name: str, fields: list[tuple[str, str]]) -> Topic:
+        """Declare a topic with fields (type, name); the timestamp is added."""
+        topic = Topic(len(self._topics), name, fields)
+        self._topics.append(topic)
+        self._message(b"F", topic.text.encode())
+        return topic
+
+    def begin(self) -> None:
+        """End the definitions."""
+        for number, topic in enumerate(self._topics):
+            self._message(b"A", struct.pack("<BH", 0, number) + topic.name.encode())
+        self.flush()
+
+    def write(self, topic: Topic, timestamp: int, *values: float) -> None:
+        """Write one record; ``timestamp`` in microseconds."""
+        self._block += topic.record(timestamp, *values)
+
+    def message(self, timestamp: int, severity: int, text: str) -> None:
+        """Write a line of text; severity 0..7 as in MAV_SEVERITY."""
+        self._message(b"L", struct.pack("<BQ", ord("0") + severity, timestamp) + text.encode())
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system."""
+        if not self._block:
+            return
+        block, self._block = self._block, bytearray()
+        if self._thread is not None:
+            self._blocks.put(bytes(block))
+        else:
+            self._write(block)
+
+    def _write(self, block: bytes | bytearray) -> None:
+        view = memoryview(block)
+        try:
+            while view and not self.error:
+                view = view[self._file.write(view) or 0 :]
+        except OSError as error:
+            self.error = f"{self.path}: the log ends here: {error.strerror}"
+
+    def _drain(self) -> None:
+        while (block := self._blocks.get()) is not None:
+            self._write(block)
+
+    def close(self) -> None:
+        """Write what is left and close the file."""
+        self.flush()
+        if self._thread is not None:
+            self._blocks.put(None)
+            self._thread.join()
+        self._file.close()

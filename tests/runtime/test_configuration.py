@@ -1,0 +1,66 @@
+import inspect
+
+import msgspec
+import pytest
+
+from runtime.config import PRESETS, Adaptation, Configuration, Operation, resolve
+from task.config import convert, to_json
+from task.errors import UserError
+
+
+def test_presets_files_and_overrides_stack_in_that_order(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('preset = "thesis"\n[adaptation]\nkappa = 0.99\nmargin = 0.2\n[operation]\npatience = 3\n')
+    configuration = resolve(None, file, ("margin=0.3", "core=1"), "hard")
+    assert configuration.preset == "thesis"
+    assert configuration.adaptation == msgspec.structs.replace(PRESETS["thesis"], kappa=0.99, margin=0.3, switch="hard")
+    assert configuration.operation == Operation(patience=3.0, core=1)
+    assert resolve("understudy", file).preset == "understudy"
+
+
+def test_what_is_saved_is_what_was_resolved():
+    configuration = resolve("thesis", None, ("rho=0.1",))
+    assert convert(msgspec.json.decode(to_json(configuration)), type(configuration), "saved") == configuration
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (("kapa=1",), "--set kapa: unknown key; known keys: switch"),
+        (("kappa",), "expected key=value"),
+        (("kappa=2",), "kappa"),
+        (("kappa=fast",), "kappa"),
+        (("switch=sometimes",), "switch"),
+        (("model=full",), "prior = 'population'"),
+        (("horizon=-1",), "horizon"),
+    ],
+)
+def test_a_bad_override_is_one_line(overrides, line):
+    with pytest.raises(UserError, match=line) as error:
+        resolve("understudy", None, overrides)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[adaptation]\nkapa = 1\n", "kapa"),
+        ("[adapt]\nkappa = 1\n", "adapt"),
+        ("adaptation = 3\n", "adaptation"),
+        ('preset = "best"\n', "preset 'best': unknown"),
+        ("kappa 1\n", "not valid TOML"),
+    ],
+)
+def test_a_bad_file_is_one_line(tmp_path, text, line):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    with pytest.raises(UserError, match=line):
+        resolve(None, file)
+
+
+@pytest.mark.parametrize("kind", [Adaptation, Operation, Configuration])
+def test_every_number_is_explained(kind):
+    source = inspect.getsource(kind)
+    for field in msgspec.structs.fields(kind):
+        after = source.split(f"    {field.name}: ", 1)[1].split("\n", 1)[1]
+        assert after.startswith('    """'), f"{kind.__name__}.{field.name} has no docstring"
