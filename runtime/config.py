@@ -88,6 +88,10 @@ class Operation(Settings, frozen=True, kw_only=True):
     dt: Positive = DT
     """Sample time of the loop [s]; the populations are trained for 0.01 s."""
 
+    real_time: bool = False
+    """True keeps the wall clock: nobody waits, late samples are missed. False is lockstep: each state is answered when
+    it comes, and two flights are equal bit for bit."""
+
     reference_from: Literal["zero", "first_state"] = "zero"
     """Where t = 0 of a reference file lies: at time_usec = 0, so that a runtime that is started again in mid-flight
     keeps its place, or at the first state, for simulators whose clock does not start at zero."""
@@ -165,8 +169,9 @@ def resolve(
     file: Path | None = None,
     overrides: tuple[str, ...] = (),
     switch: str | None = None,
+    real_time: bool = False,
 ) -> Configuration:
-    """Return the configuration: preset, then the file over it, then ``key=value`` overrides, then ``switch``.
+    """Return the configuration: preset, the file over it, ``key=value`` overrides, then ``switch`` and ``real_time``.
 
     The file is TOML with an optional ``preset`` and tables ``[adaptation]`` and ``[operation]``. A preset given here
     beats the one in the file. Raises UserError naming the file or option, the key, expected and got.
@@ -194,4 +199,6 @@ def resolve(
         data[_table_of(key.strip())][key.strip()] = _value(text.strip())
     if switch is not None:
         data["adaptation"]["switch"] = switch
+    if real_time:
+        data["operation"]["real_time"] = True
     return convert(data, Configuration, "--set" if overrides else "configuration")

@@ -75,6 +75,11 @@ class Guard:
         self._held[:] = 0.0
         self._trim[:] = 0.0
 
+    @property
+    def has_command(self) -> bool:
+        """Whether there was a good command in this flight."""
+        return self._good > 0
+
     def check_state(self, x: np.ndarray) -> Health:
         """Return what is wrong with a state (12,); OK when it may be used."""
         np.abs(x, out=self._magnitude)

@@ -89,8 +89,8 @@ class RecursiveLeastSquares:
         self.updates += 1
 
 
-class Snapshot(NamedTuple):
-    """What the imagination starts from; every array is a copy, float32.
+class Identified(NamedTuple):
+    """What was learnt, as the imagination needs it; every array is a copy, float32.
 
     x (10,) state; dx (10,) its last increment; commands (command_lag + 1, 3) the last commands sent, oldest first
     [rad]; model (13, 10) as in :mod:`task.model`; exact_kinematics: whether attitude and altitude follow from it.
@@ -156,8 +156,9 @@ class IncrementalModel:
         return np.asarray(theta0, float), np.asarray(p0, float)
 
     def reset(self) -> None:
-        """Start a new flight: prior and no history."""
+        """Start a new flight: prior, no history, nothing counted."""
         self.rls.reset()
+        self.rls.skipped = self.rls.restarts = 0
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -203,11 +204,11 @@ class IncrementalModel:
         if self._sent == 1:
             self._commands[:] = action
 
-    def snapshot(self) -> Snapshot:
-        """Return what the imagination starts from; call it between :meth:`observe` and :meth:`command`."""
+    def snapshot(self) -> Identified:
+        """Return what was learnt so far; call it between :meth:`observe` and :meth:`command`."""
         theta = self.rls.Theta
         model = embed_reduced(theta) if self.exact_kinematics else theta
-        return Snapshot(
+        return Identified(
             self._x.astype(np.float32),
             self._dx.astype(np.float32),
             self._commands[1:].astype(np.float32),

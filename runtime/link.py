@@ -34,6 +34,10 @@ class Link(Protocol):
 
     ended: str
     """``over`` or ``lost`` once the other side has said so; empty in flight."""
+    skipped: int
+    """States that were there but older than another (real time)."""
+    repeated: int
+    """States that came again and were answered again."""
 
     def read(self, timeout: float) -> Sample | None:
         """Return the next state; None when none comes within ``timeout`` [s] or the flight ended."""
@@ -43,6 +47,9 @@ class Link(Protocol):
 
     def say(self, text: str, severity: int) -> None:
         """Tell who listens on the link a line; severity as in MAV_SEVERITY."""
+
+    def diagnosis(self) -> str:
+        """Return in words why no state came."""
 
     def close(self) -> None:
         """Let go of the link."""

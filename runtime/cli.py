@@ -1,0 +1,118 @@
+"""The command line of the runtime."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from runtime.config import PRESETS, resolve
+from runtime.loop import Outcome
+from runtime.mavlink_link import MavlinkLink
+from runtime.population import load_population
+from runtime.reference import LiveReference, load_reference
+from runtime.session import Flown, Session
+from runtime.udp import parse_address
+
+SILENT_EXIT = 3
+"""Exit code when the aircraft's side fell silent in mid-flight."""
+
+
+class _Stop:
+    """Turns SIGINT and SIGTERM into a request that the loop looks at; remembers which it was."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self.signal = 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.signal = number
+        self._event.set()
+
+    def __call__(self) -> bool:
+        return self._event.is_set()
+
+
+def _say(line: str) -> None:
+    """Say a line on stderr; nobody listening is no reason to stop flying."""
+    with contextlib.suppress(OSError):
+        click.echo(f"runtime: {line}", err=True)
+
+
+@click.command()
+@click.option("--link", "address", default="udpin:0.0.0.0:14560", show_default=True,
+              help="udpin:HOST:PORT is bound and answers who speaks; udpout:HOST:PORT speaks first.")  # fmt: skip
+@click.option("--population", type=Path, required=True, help="The cast: a folder that 'understudy export' wrote.")
+@click.option("--reference", "reference_path", type=Path,
+              help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip
+@click.option("--preset", type=click.Choice(list(PRESETS)), help="Recipe of the adaptation.  [default: understudy]")
+@click.option("--switch", type=click.Choice(["none", "hard", "soft"]), help="How the cast changes.  [default: soft]")
+@click.option("--config", type=Path, help="TOML with [adaptation] and [operation] tables, over the preset.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override one value; may be repeated.")
+@click.option("--log", type=Path, default=Path("flight.ulg"), show_default=True,
+              help="The flight log (ULog); configuration and summary are written beside it.")  # fmt: skip
+@click.option("--realtime", is_flag=True, help="Keep the wall clock; without it, lockstep.")
+def main(
+    address: str,
+    population: Path,
+    reference_path: Path | None,
+    preset: str | None,
+    switch: str | None,
+    config: Path | None,
+    overrides: tuple[str, ...],
+    log: Path,
+    realtime: bool,
+) -> None:
+    """Fly an aircraft that speaks docs/interface.md with the best of a population."""
+    configuration = resolve(preset, config, overrides, switch, realtime)
+    where = parse_address(address)
+    cast = load_population(population)
+    live = LiveReference()
+    reference = load_reference(reference_path, configuration.operation.dt) if reference_path else live
+    stop = _Stop()
+    link = MavlinkLink(
+        where,
+        lockstep=not configuration.operation.real_time,
+        say_here=_say,
+        on_setpoint=None if reference_path else live.set,
+    )
+    try:
+        with Session(link, cast, reference, configuration, log, _say, stop) as session:
+            _say(
+                f"{cast.name}, {len(cast.members)} members, {cast.members[cast.champion]} flies first; "
+                f"preset {configuration.preset}, switch {configuration.adaptation.switch}; waiting on {where.text}"
+            )
+            flown = session.fly()
+    finally:
+        link.close()
+    _leave(flown, link, stop.signal)
+
+
+def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
+    """Say in one line how it ended, and leave with 0, 3 (silence) or 128 + signal."""
+    if not flown:
+        _say(f"stopped by {signal.Signals(stopped_by).name} before any state came; nothing flown")
+        sys.exit(128 + stopped_by)
+    outcome, log, summary = flown[-1]
+    ended = {
+        Outcome.OVER: "flight over",
+        Outcome.LOST: "the aircraft is lost",
+        Outcome.SILENT: f"the aircraft's side fell silent; {link.diagnosis()}",
+        Outcome.STOPPED: f"stopped by {signal.Signals(stopped_by).name}" if stopped_by else "stopped",
+        Outcome.REPLACED: "replaced",
+    }[outcome]
+    _say(
+        f"{ended} after {summary.seconds:.1f} s; {summary.cycles} cycles, {summary.switches} switches, "
+        f"{summary.missed + summary.gaps} missed; log in {log}"
+    )
+    if outcome is Outcome.SILENT:
+        sys.exit(SILENT_EXIT)
+    if outcome is Outcome.STOPPED:
+        sys.exit(128 + stopped_by)

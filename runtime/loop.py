@@ -1,0 +1,199 @@
+"""The fixed-rate cycle: read, identify, decide, act, write."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import Counter
+from collections.abc import Callable
+from enum import StrEnum
+
+import numpy as np
+
+from runtime.clock import Clock
+from runtime.config import Operation
+from runtime.guard import UNUSABLE, Guard, Health, describe
+from runtime.identification import IncrementalModel
+from runtime.link import Link, Sample, Severity
+from runtime.plays import Played, Plays
+from runtime.population import BehaviouralPolicy
+from runtime.recorder import Recorder
+from runtime.reference import Reference
+from runtime.switching import REASONS, Action, Cast
+from task.observation import observation
+from task.state import N_OBSERVATION
+
+
+class Outcome(StrEnum):
+    """How a flight ended."""
+
+    OVER = "over"
+    LOST = "lost"
+    SILENT = "silent"
+    STOPPED = "stopped"
+    REPLACED = "replaced"
+
+
+class Loop:
+    """Flies one flight from its first state to its end. In flight nothing raises and nothing blocks without bound.
+
+    The parts are fresh or reset. ``stopped`` is asked between samples whether somebody wants to end the flight.
+    """
+
+    SAY_AGAIN = 500
+    """A health flag is said at most once in this many cycles."""
+
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        policy: BehaviouralPolicy,
+        cast: Cast,
+        model: IncrementalModel,
+        plays: Plays,
+        reference: Reference,
+        guard: Guard,
+        recorder: Recorder,
+        operation: Operation,
+        members: list[str],
+        say: Callable[[str], None] = lambda line: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.link, self.clock, self.policy, self.cast = link, clock, policy, cast
+        self.model, self.plays, self.reference = model, plays, reference
+        self.guard, self.recorder = guard, recorder
+        self.operation, self.members = operation, members
+        self.say_here, self.stopped = say, stopped
+        self.cycles = self.gaps = self.overruns = self.switches = 0
+        self.health_counts: Counter[str] = Counter()
+        self.cycle_us = array("f")
+        self.next_flight: Sample | None = None
+        """The first state of the flight that took this one's place."""
+        self._dt_us = round(operation.dt * 1e6)
+        self._observation = np.zeros(N_OBSERVATION)
+        self._said_at: dict[Health, int] = {}
+
+    def fly(self, first: Sample) -> Outcome:
+        """Fly from the first state until the flight ends, and say how it ended."""
+        self.first = self.last = first
+        self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
+        self.reference.start(first.x)
+        self.clock.arrived()
+        heard = time.monotonic()
+        sample: Sample | None = first
+        with np.errstate(all="ignore"):
+            while True:
+                if sample is not None:
+                    self.cycle(sample)
+                    heard = time.monotonic()
+                elif self.link.ended:
+                    return Outcome(self.link.ended)
+                elif time.monotonic() - heard > self.operation.patience:
+                    return Outcome.SILENT
+                elif self.clock.overdue():
+                    self.miss()
+                if self.stopped():
+                    return Outcome.STOPPED
+                sample = self.link.read(self.clock.wait())
+                if sample is not None and self.replaces(sample):
+                    self.next_flight = sample
+                    return Outcome.REPLACED
+
+    def cycle(self, sample: Sample) -> None:
+        """Answer one state: read, identify, decide, act, write."""
+        began = time.perf_counter_ns()
+        x, tick, t = sample.x, self.tick(sample), 1e-6 * (sample.time_usec - self._zero_usec)
+        reference = self.reference.at(t)
+        health, played = self.check(sample), None
+        if health & UNUSABLE and not self.guard.has_command:
+            self.report(sample, health)
+            return
+        if health & UNUSABLE:
+            self.model.restart_history()
+            command, why = self.guard.fallback()
+        else:
+            self.model.observe(x)
+            played = self.plays.step(tick, t)
+            if played is not None:
+                self.cast.take(played.decision)
+            self.cast.step()
+            action = self.policy.act(observation(x, reference, self._observation))
+            command, why = self.guard.command(action)
+        self.link.write(command, sample.time_usec)
+        self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
+        self.model.command(command)
+        self.clock.arrived()
+        self.account(sample, tick, reference, command, health | why, played)
+        self.overruns += time.perf_counter_ns() - began > 1000 * self._dt_us
+
+    def tick(self, sample: Sample) -> int:
+        """Return how many samples after the first one this is."""
+        return round((sample.time_usec - self.first.time_usec) / self._dt_us)
+
+    def check(self, sample: Sample) -> Health:
+        """Return what is wrong with a state; across a gap the model forms no increment."""
+        health = self.guard.check_state(sample.x)
+        if sample is not self.first and abs(sample.time_usec - self.last.time_usec - self._dt_us) > self._dt_us // 4:
+            self.model.restart_history()
+            self.gaps += 1
+            health |= Health.GAP
+        return health
+
+    def replaces(self, sample: Sample) -> bool:
+        """Return whether a state belongs to another flight than the last one."""
+        return sample.flight != self.last.flight or sample.time_usec < self.last.time_usec
+
+    def miss(self) -> None:
+        """No state came in time: send what the last gate has for that."""
+        command, _ = self.guard.fallback()
+        self.link.write(command, self.last.time_usec)
+        self.report(self.last, Health.STATE_MISSING)
+
+    def account(
+        self,
+        sample: Sample,
+        tick: int,
+        reference: np.ndarray,
+        command: np.ndarray,
+        health: Health,
+        played: Played | None,
+    ) -> None:
+        """Record and count what the cycle did, and say what is worth a line."""
+        time_usec, rls, cast = sample.time_usec, self.model.rls, self.cast
+        self.recorder.cycle(time_usec, tick, sample.x, command, reference, cast.blend, cast.flying, health)
+        self.recorder.innovation(time_usec, rls.innovation, rls.trace)
+        if played is not None:
+            self.recorder.play(time_usec, played.returns, played.age, played.tick_asked, played.decision)
+            if played.error:
+                self.say(sample, Severity.WARNING, f"imagination failed: {played.error}")
+            if played.decision.action is not Action.KEEP:
+                self.switches += 1
+                self.say(sample, Severity.INFO, self.describe_switch(played))
+        if health:
+            self.report(sample, health)
+        self.cycles += 1
+        self.last = sample
+
+    def describe_switch(self, played: Played) -> str:
+        """Return a switch in words."""
+        decision = played.decision
+        best, incumbent = played.returns[decision.member], played.returns[-1]
+        kind, name = decision.action.name.lower(), self.members[decision.member]
+        return f"{kind} switch to {name}: predicted {best:.1f}, incumbent {incumbent:.1f} ({REASONS[decision.reason]})"
+
+    def report(self, sample: Sample, health: Health) -> None:
+        """Count the flags that are up, and say those that were not said lately."""
+        news = Health.OK
+        for flag in health:
+            self.health_counts[str(flag.name).lower()] += 1
+            if self.cycles - self._said_at.get(flag, -self.SAY_AGAIN) >= self.SAY_AGAIN:
+                self._said_at[flag] = self.cycles
+                news |= flag
+        if news:
+            self.say(sample, Severity.WARNING, describe(news))
+
+    def say(self, sample: Sample, severity: int, text: str) -> None:
+        """Say a line here, on the link and in the log."""
+        self.say_here(f"{1e-6 * sample.time_usec:.2f} s: {text}")
+        self.link.say(text, severity)
+        self.recorder.message(sample.time_usec, severity, text)

@@ -1,0 +1,106 @@
+"""When the cast is imagined and what comes of it: asks, waits or looks, and hands on the decision."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from runtime.config import Adaptation
+from runtime.identification import IncrementalModel
+from runtime.imagination import Imagination, Snapshot
+from runtime.reference import Reference
+from runtime.switching import Cast, Decision, decide
+
+
+class Played(NamedTuple):
+    """An imagination at the moment that it decides."""
+
+    returns: np.ndarray
+    """(P + 1,) predicted returns, the incumbent last."""
+    age: float
+    """Time since the state that it started from [s]."""
+    tick_asked: int
+    decision: Decision
+    error: str
+    """Why the imagination failed; empty when it did not."""
+
+
+class Plays:
+    """Asks for an imagination every ``t_play`` and decides when it is there.
+
+    In lockstep the answer to tick k decides at tick k + ``play_delay_ticks``, and is waited for there. In real time
+    it decides when it is there; while one is under way no other is asked for.
+    """
+
+    def __init__(
+        self,
+        imagination: Imagination,
+        model: IncrementalModel,
+        cast: Cast,
+        reference: Reference,
+        settings: Adaptation,
+        dt: float,
+        lockstep: bool,
+    ) -> None:
+        self._imagination = imagination
+        self._model = model
+        self._cast = cast
+        self._reference = reference
+        self._settings = settings
+        self._dt = dt
+        self._lockstep = lockstep
+        self._period = max(round(settings.t_play / dt), 1)
+        self._samples = round(settings.horizon / dt) + 1
+        self._least_updates = len(model.rls.Theta) if settings.prior == "none" else 0
+        self.seconds: list[float] = []
+        """Wall time of each imagination [s]."""
+        self.asked = 0
+        self.skipped = 0
+        self.failed = 0
+        self._asked_at = -1
+        self._next = self._period
+
+    def step(self, tick: int, t: float) -> Played | None:
+        """Do what is due at a sample: return the decision that falls here, ask the next question.
+
+        tick: samples since the flight began; t: time of the state [s]. The model must have observed the state.
+        """
+        if self._settings.switch == "none":
+            return None
+        played = self._collect(tick)
+        if tick >= self._next and self._model.ready and self._model.rls.updates >= self._least_updates:
+            if self._asked_at >= 0:
+                self.skipped += 1
+            else:
+                self._imagination.request(self._snapshot(t), tick)
+                self._asked_at = tick
+                self.asked += 1
+            self._next = (tick // self._period + 1) * self._period
+        return played
+
+    def _snapshot(self, t: float) -> Snapshot:
+        """Return all that the imagination starts from."""
+        if self._settings.preview:
+            reference = self._reference.preview(t, self._samples)
+        else:
+            reference = np.tile(self._reference.at(t).astype(np.float32), (self._samples, 1))
+        return Snapshot(**self._model.snapshot()._asdict(), reference=reference, incumbent=self._cast.live.copy())
+
+    def _collect(self, tick: int) -> Played | None:
+        """Return the decision of the imagination under way if it falls at this tick."""
+        asked = self._asked_at
+        if asked < 0 or (self._lockstep and tick < asked + self._settings.play_delay_ticks):
+            return None
+        prediction = self._imagination.wait(asked) if self._lockstep else self._imagination.result(asked)
+        if prediction is None:
+            if self._lockstep:
+                self._asked_at = -1
+                self.failed += 1
+            return None
+        self._asked_at = -1
+        self.failed += bool(prediction.error)
+        self.seconds.append(prediction.seconds)
+        age = (tick - asked) * self._dt
+        decision = decide(prediction.returns, self._cast.flying, age, self._settings)
+        return Played(prediction.returns, age, asked, decision, prediction.error)

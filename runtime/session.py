@@ -1,0 +1,178 @@
+"""A run of the runtime: what is made once, flight after flight on it, and how it ends."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from runtime.clock import Clock, RateKeeper, SteppedClock, harden
+from runtime.config import Configuration
+from runtime.guard import UNUSABLE, Guard, describe
+from runtime.identification import IncrementalModel
+from runtime.imagination import Imagination, Snapshot
+from runtime.link import Link, Sample, Severity
+from runtime.loop import Loop, Outcome
+from runtime.plays import Plays
+from runtime.population import BehaviouralPolicy, Population
+from runtime.recorder import Recorder, Summary, percentiles
+from runtime.reference import Reference
+from runtime.switching import Cast
+from task.errors import UserError
+from task.state import N_OBSERVATION, N_REFERENCE
+
+
+class Flown(NamedTuple):
+    """One flight that was flown: how it ended, its log (None without one) and its summary."""
+
+    outcome: Outcome
+    log: Path | None
+    summary: Summary
+
+
+def log_path(log: Path, number: int) -> Path:
+    """Return where the log of flight ``number`` (1, 2, ...) goes: flight.ulg, flight.2.ulg, ..."""
+    return log if number == 1 else log.with_suffix(f".{number}{log.suffix}")
+
+
+class Session:
+    """Everything that outlives a flight. Use it as a context manager.
+
+    ``say`` takes one line at a time; ``stopped`` is asked whether somebody wants to end the flight.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        population: Population,
+        reference: Reference,
+        configuration: Configuration,
+        log: Path,
+        say: Callable[[str], None] = lambda line: None,
+        stopped: Callable[[], bool] = lambda: False,
+        information: dict[str, str] | None = None,
+    ) -> None:
+        adaptation, operation = configuration.adaptation, configuration.operation
+        self._link, self._population, self._reference = link, population, reference
+        self._configuration, self._log = configuration, log
+        self._say, self._stopped = say, stopped
+        self._information = {"population_sha256": population.sha256, **(information or {})}
+        self._policy = BehaviouralPolicy(population)
+        self._cast = Cast(self._policy.parameters, population.parameters, population.champion, adaptation.rho)
+        self._model = IncrementalModel(
+            adaptation, population.command_lag, population.theta, population.p0, operation.dt
+        )
+        self._guard = Guard(operation)
+        self._horizon = round(adaptation.horizon / operation.dt)
+        self._imagination = Imagination(population, self._horizon)
+        self._real_time: list[str] = []
+        self._rehearse()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._imagination.close()
+
+    def _rehearse(self) -> None:
+        """Run every part once, so that nothing is slow the first time that it matters."""
+        self._policy.act(np.zeros(N_OBSERVATION))
+        identified = self._model.snapshot()
+        reference = np.zeros((self._horizon + 1, N_REFERENCE), dtype=np.float32)
+        self._imagination.request(Snapshot(*identified, reference=reference, incumbent=self._cast.live), 0)
+        self._imagination.wait(0)
+
+    def fly(self) -> list[Flown]:
+        """Wait for the first state, and fly until there is no next flight; return every flight flown.
+
+        Raises UserError when no usable state comes within ``start_patience``, or none at all before a stop.
+        """
+        operation = self._configuration.operation
+        if operation.real_time:
+            self._real_time = harden(operation.core)
+            for line in self._real_time:
+                self._say(line)
+        sample = self._first_state()
+        flown: list[Flown] = []
+        while sample is not None:
+            self._say(f"{'first state' if not flown else 'a new flight'} at {1e-6 * sample.time_usec:.2f} s; flying")
+            flight, sample = self._fly_one(sample, len(flown) + 1)
+            flown.append(flight)
+        return flown
+
+    def _first_state(self) -> Sample | None:
+        """Return the first usable state; None when stopped before it."""
+        deadline = time.monotonic() + self._configuration.operation.start_patience
+        unusable = ""
+        while time.monotonic() < deadline:
+            sample = self._link.read(0.2)
+            if self._stopped():
+                return None
+            if sample is None:
+                continue
+            health = self._guard.check_state(sample.x)
+            if not health & UNUSABLE:
+                return sample
+            if not unusable:
+                unusable = describe(health)
+                self._say(f"not flying yet: {unusable}")
+        heard = f"states came, but {unusable}" if unusable else self._link.diagnosis()
+        raise UserError(f"no state within {self._configuration.operation.start_patience:g} s: {heard}")
+
+    def _fly_one(self, first: Sample, number: int) -> tuple[Flown, Sample | None]:
+        """Fly one flight from its first state; return it, and the first state of the one that replaced it."""
+        began = time.monotonic()
+        adaptation, operation = self._configuration.adaptation, self._configuration.operation
+        self._cast.reset()
+        self._model.reset()
+        self._guard.reset()
+        clock: Clock = RateKeeper(operation.dt, operation.missed_factor) if operation.real_time else SteppedClock()
+        plays = Plays(
+            self._imagination, self._model, self._cast, self._reference, adaptation, operation.dt,
+            not operation.real_time,
+        )  # fmt: skip
+        members = self._population.members
+        path = log_path(self._log, number)
+        recorder = Recorder(
+            path, self._configuration, self._population.name, members, self._model.outputs, self._information,
+            threaded=operation.real_time,
+        )  # fmt: skip
+        loop = Loop(
+            self._link, clock, self._policy, self._cast, self._model, plays, self._reference, self._guard, recorder,
+            operation, members, self._say, self._stopped,
+        )  # fmt: skip
+        outcome = loop.fly(first)
+        summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
+        recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
+        recorder.close(summary)
+        if summary.log_error:
+            self._say(summary.log_error)
+        return Flown(outcome, path, summary), loop.next_flight
+
+    def _summarise(self, loop: Loop, plays: Plays, clock: Clock, outcome: Outcome, wall_seconds: float) -> Summary:
+        rls = self._model.rls
+        return Summary(
+            outcome=str(outcome),
+            seconds=round(1e-6 * (loop.last.time_usec - loop.first.time_usec), 6),
+            wall_seconds=round(wall_seconds, 3),
+            cycles=loop.cycles,
+            overruns=loop.overruns,
+            missed=clock.missed,
+            skipped=self._link.skipped,
+            repeated=self._link.repeated,
+            gaps=loop.gaps,
+            plays=plays.asked,
+            plays_skipped=plays.skipped,
+            plays_failed=plays.failed,
+            switches=loop.switches,
+            health=dict(loop.health_counts),
+            updates=rls.updates,
+            updates_skipped=rls.skipped,
+            restarts=rls.restarts,
+            cycle_us=percentiles(np.frombuffer(loop.cycle_us, dtype=np.float32)),
+            imagination_ms=percentiles(1e3 * np.array(plays.seconds)),
+            real_time=self._real_time,
+        )
