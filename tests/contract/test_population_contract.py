@@ -1,0 +1,123 @@
+"""The population folder between two programs that share no code: what one writes, the other reads and flies alike."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+import export.folder
+import export.manifest
+import runtime.manifest
+import runtime.population
+from export.network import Layer, Network, forward, unflatten
+from export.rollout import rollout
+from runtime.imagination import Imagination, Snapshot
+from runtime.population import BehaviouralPolicy, load_population
+from task.errors import UserError
+from task.model import embed_reduced
+from task.reference import random_reference
+
+SHIPPED = sorted(p.parent for p in Path(__file__).parents[2].glob("populations/*/manifest.json"))
+
+NETWORKS = {
+    "thesis": Network(layers=(Layer(units=24), *[Layer(units=24, layer_norm="unbiased")] * 3, Layer(units=3))),
+    "relu": Network(layers=(*[Layer(units=20, activation="relu")] * 2, Layer(units=3))),
+    "scaled": Network(
+        layers=(Layer(units=12, layer_norm="standard", activation="leaky_relu"), Layer(units=3)),
+        input_scale=(2.0, 2.0, 4.0, 1.0, 1.0, 1.0, 0.5),
+        action_offset=(-0.02, 0.0, 0.01),
+    ),
+    "linear-law": Network(layers=(Layer(units=3, activation="linear"),)),
+}
+
+
+@pytest.fixture(params=NETWORKS)
+def cast(request, tmp_path, make_actors, short_prior):
+    """A population as it was exported, and as it was loaded."""
+    population = make_actors(NETWORKS[request.param], members=3, seed=2)
+    export.folder.write_population(population, short_prior, tmp_path / "cast")
+    return population, load_population(tmp_path / "cast")
+
+
+def test_both_sides_name_the_same_keys():
+    def keys(kind: type) -> dict:
+        return {
+            f.encode_name: msgspec.inspect.type_info(f.type).__class__.__name__ for f in msgspec.structs.fields(kind)
+        }
+
+    for name in ("Manifest", "Layer", "Network", "Tensor", "Member", "SignalLayout", "PriorLayout"):
+        written = getattr(export.manifest, name, None) or getattr(export.network, name)
+        assert keys(written) == keys(getattr(runtime.manifest, name)), name
+    for name in ("GoldenActions", "GoldenImagination"):
+        assert keys(getattr(export.manifest, name)) == keys(getattr(runtime.manifest, name)), name
+
+
+def test_both_sides_name_the_same_files_and_version():
+    for name in ("BEHAVIOUR", "IMAGINATION", "PRIOR"):
+        assert getattr(export.folder, name) == getattr(runtime.population, name)
+    assert export.population.PARAMETERS == runtime.population.PARAMETERS
+    assert export.manifest.MANIFEST == runtime.population.MANIFEST
+    assert (export.manifest.FORMAT, export.manifest.VERSION) == (runtime.manifest.FORMAT, runtime.manifest.VERSION)
+
+
+def test_the_runtime_flies_what_was_exported(cast):
+    exported, loaded = cast
+    policy = BehaviouralPolicy(loaded)
+    tensors = unflatten(exported.network, exported.parameters.astype(float))
+    for s in np.random.default_rng(0).uniform(-0.4, 0.4, (20, 7)).astype(np.float32):
+        expected = forward(exported.network, tensors, s.astype(float))
+        for member in range(3):
+            policy.parameters[:] = loaded.parameters[member]
+            np.testing.assert_allclose(policy.act(s), expected[member], rtol=0, atol=2e-6)
+
+
+def test_the_runtime_imagines_what_was_exported_and_any_incumbent(cast):
+    exported, loaded = cast
+    rng = np.random.default_rng(1)
+    blend = (0.5 * (exported.parameters[0] + exported.parameters[2])).astype(np.float32)
+    x = np.array([0.01, 0.0, 0.0, 90.0, 0.06, 0.0, 0.05, 0.06, 1.0, 2000.0])
+    reference = random_reference(rng, 2.0, 0.06)
+    commands, dx = np.full((2, 3), -0.02), 1e-4 * rng.normal(size=10)
+    model = embed_reduced(loaded.theta)
+    with Imagination(loaded, 200) as imagination:
+        imagination.request(Snapshot(x, dx, commands, model, True, reference, blend), 0)
+        returns = imagination.wait(0).returns
+    actors = np.concatenate([exported.parameters, blend[None]])
+    expected = rollout(exported.network, actors, x, dx, commands, model, True, reference)
+    np.testing.assert_allclose(returns, expected, rtol=0, atol=1e-3)
+
+
+def test_the_manifest_is_at_full_precision(cast):
+    exported, loaded = cast
+    golden = loaded.manifest.golden_actions
+    tensors = unflatten(exported.network, exported.parameters.astype(float))
+    again = np.stack([forward(exported.network, tensors, np.array(s)) for s in golden.observations], axis=1)
+    np.testing.assert_array_equal(np.array(golden.actions), again)
+
+
+def test_no_pickle_anywhere(population_folder):
+    for path in population_folder.rglob("*"):
+        if path.suffix in (".npy", ".npz"):
+            np.load(path, allow_pickle=False)
+        assert path.suffix not in (".pkl", ".pickle", ".pt", ".pth")
+
+
+def test_a_key_that_one_side_forgets_is_found(population_folder, tmp_path):
+    data = json.loads((population_folder / "manifest.json").read_bytes())
+    del data["command_lag"]
+    (tmp_path / "manifest.json").write_text(json.dumps(data))
+    with pytest.raises(UserError, match="missing required field `command_lag`"):
+        load_population(tmp_path)
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda p: p.name)
+def test_shipped_populations_load_and_are_whole(folder):
+    population = load_population(folder)
+    assert population.name == folder.name
+    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert set(population.manifest.files) == files - {"manifest.json"}
+    assert export.manifest.file_hashes(folder) == population.manifest.files
