@@ -8,9 +8,9 @@ numpy; it stays 5 to 15 times above the limit of its arithmetic, because a produ
 weight; and it is 2 to 4 times above one matrix-vector product over all weights a step, which has to read the same
 weights but pays for no other node. The wider the network, the nearer to that limit.
 
-Found: 3 to 5 times as fast as numpy and 2 to 4 times above reading the weights, as predicted. Against the arithmetic the
-prediction holds for the large and wide cast only (7 to 9 times); small or narrow ones stand 15 to 25 times above it: there
-the nodes' dispatch, about 60 a step, is what is paid for.
+Found: 3 to 5 times as fast as numpy and 2 to 4 times above reading the weights, as predicted. Against the arithmetic
+the prediction holds for the large and wide cast only (7 to 9 times); small or narrow ones stand 15 to 25 times above
+it: there the nodes' dispatch, about 60 a step, is what is paid for.
 """
 
 from __future__ import annotations
