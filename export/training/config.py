@@ -1,0 +1,183 @@
+"""Every hyperparameter of a training run; docs/training.md lists where text and published run differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from task.config import Settings, load_toml
+from task.errors import UserError
+from task.limits import DT
+from task.reference import FamilyName
+
+CONFIGS = Path(__file__).parent / "configs"
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+Count = Annotated[int, Meta(ge=1)]
+Activation = Literal["tanh", "relu", "leaky_relu", "linear"]
+
+
+class ActorSettings(Settings, frozen=True):
+    """Shape of every actor: Linear, activation, then ``hidden`` x [Linear, LayerNorm, activation], Linear, tanh."""
+
+    width: Count = 72
+    """Units of each hidden layer."""
+    hidden: Count = 3
+    """Normalised hidden layers after the input layer."""
+    activation: Activation = "tanh"
+    layer_norm: Literal["none", "standard"] = "standard"
+    input_scale: tuple[Positive, ...] = (1.0,) * 7
+    """Fixed factors on theta_e, phi_e, beta_e, p, q, r [1/rad, s/rad] and alpha [1/rad]; 1 as published."""
+    action_offset: tuple[float, ...] = (0.0,) * 3
+    """Deflection of elevator, aileron, rudder [rad] at zero network output; 0 as published."""
+
+
+class TD3Settings(Settings, frozen=True):
+    """The gradient learner (thesis section II.A)."""
+
+    learning_rate: Positive = 1.86e-4
+    """Adam, actor and critics alike."""
+    gamma: Fraction = 0.99
+    tau: Fraction = 0.005
+    """Polyak rate of the targets."""
+    batch: Count = 86
+    critic_layers: tuple[Count, ...] = (64, 64)
+    critic_activation: Activation = "tanh"
+    critic_layer_norm: Literal["none", "standard"] = "standard"
+    sigma: NonNegative = 0.29
+    """Standard deviation of exploration and target noise, in units of the action's bound (eq. 3)."""
+    noise_clip: NonNegative = 0.5
+    """Both noises are clipped to this, in units of the action's bound."""
+    policy_delay: Count = 3
+    """Critic updates for one of the actor and the targets."""
+    gradient_clip: Positive = 10.0
+    """Largest gradient norm, of the actor and of each twin critic's pair."""
+    buffer: Count = 800_000
+    """Transitions in the shared memory D."""
+    learning_starts: int = 10_000
+    """Frames gathered before the first update."""
+    updates_per_frame: NonNegative = 1.0
+    """Critic updates for each frame gathered."""
+    discount_penalty: bool = True
+    """Remember a crash with the discounted value of losing C_P in every remaining frame, instead of their sum
+    (eq. 13), which would be up to 4000 in one reward; the fitness keeps the sum."""
+    lambda_s: NonNegative = 0.5
+    """Weight of the spatial term of CAPS (eq. 15); 0 switches it off."""
+    lambda_t: NonNegative = 0.1
+    """Weight of the temporal term of CAPS."""
+    caps_sigma: NonNegative = 0.05
+    """Standard deviation of the perturbed observation of CAPS [rad, rad/s]."""
+
+
+class GeneticSettings(Settings, frozen=True):
+    """The genetic population (thesis sections II.B, II.C and III.B)."""
+
+    population: Annotated[int, Meta(ge=0)] = 10
+    """Genetic actors N; the TD3 actor flies beside them. 0 trains TD3 alone."""
+    evaluations: Count = 3
+    """Flights of each actor per generation; their mean return is the fitness (eq. 4)."""
+    stored_evaluations: Count = 1
+    """The last so many of them enter the memories and count as frames, as in the published runs."""
+    elite_fraction: Fraction = 0.2
+    tournament: Count = 3
+    mutation: Literal["safe", "proximal", "gaussian"] = "safe"
+    mutation_magnitude: NonNegative = 2.47e-2
+    """sigma_mut of eqs 5 and 8."""
+    mutation_probability: Fraction = 0.9
+    mutation_batch: Count = 86
+    """States over which the sensitivity is summed (eq. 8)."""
+    sensitivity_floor: Positive = 0.01
+    memory: Count = 8_000
+    """kappa: states in each actor's genetic memory, and in its critical buffer."""
+    pairing: Literal["distance", "fitness"] = "distance"
+    """How crossover pairs are ranked: behavioural distance (eq. 7) or summed fitness."""
+    pairing_batch: Count = 256
+    """States of each parent's memory in eq. 7."""
+    crossover_epochs: Count = 12
+    """Passes over the child's memory while the parents are distilled (eq. 6)."""
+    crossover_batch: Count = 128
+    crossover_learning_rate: Positive = 1e-3
+    synchronisation: Count = 1
+    """Generations between two injections of the TD3 actor."""
+    smooth_fitness: bool = False
+    """Add Sm (eq. 16) to the fitness."""
+
+
+class TaskSettings(Settings, frozen=True):
+    """The flights that are trained on (thesis section III.D)."""
+
+    duration: Positive = 20.0
+    """T_max [s]."""
+    family: FamilyName = "training"
+    """References of one generation are common to all its actors."""
+    altitude: Positive = 2000.0
+    """Trim altitude [m]."""
+    speed: Positive = 90.0
+    """Trim speed [m/s]."""
+
+    @property
+    def ticks(self) -> int:
+        """Samples of one flight."""
+        return round(self.duration / DT)
+
+
+class TrainingConfig(Settings, frozen=True):
+    """One training run."""
+
+    name: str
+    frames: Count
+    """Stop after the generation in which the stored frames reach this number."""
+    seed: int = 0
+    actor: ActorSettings = ActorSettings()
+    td3: TD3Settings = TD3Settings()
+    genetic: GeneticSettings = GeneticSettings()
+    task: TaskSettings = TaskSettings()
+    validation_references: Count = 5
+    """Evaluation references (80 s) by which the champion is picked when the run ends."""
+    checkpoint_seconds: NonNegative = 60.0
+    """Least wall time between two checkpoints [s]; the result does not depend on it."""
+
+    def __post_init__(self) -> None:
+        """Check what single fields cannot."""
+        if self.genetic.stored_evaluations > self.genetic.evaluations:
+            raise ValueError(
+                f"genetic.stored_evaluations: expected at most genetic.evaluations = {self.genetic.evaluations}, "
+                f"got {self.genetic.stored_evaluations}"
+            )
+        for name, length in (("input_scale", 7), ("action_offset", 3)):
+            got = len(getattr(self.actor, name))
+            if got != length:
+                raise ValueError(f"actor.{name}: expected {length} numbers, got {got}")
+
+
+def load(name_or_path: str) -> TrainingConfig:
+    """Return a configuration by the name of one that ships (``serl10``) or by path; raise UserError."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        shipped = CONFIGS / f"{name_or_path}.toml"
+        if not shipped.exists():
+            known = ", ".join(sorted(p.stem for p in CONFIGS.glob("*.toml")))
+            raise UserError(
+                f"no training configuration '{name_or_path}'; expected one of {known}, or a path to a .toml"
+            )
+        path = shipped
+    return load_toml(path, TrainingConfig, "training configuration")
+
+
+def as_toml(config: TrainingConfig) -> str:
+    """Return the whole configuration, defaults included, as TOML that :func:`load` reads."""
+    values = msgspec.to_builtins(config)
+    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
+    for table, rows in values.items():
+        if isinstance(rows, dict):
+            lines += ["", f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in rows.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    return msgspec.json.encode(value).decode()  # of strings, numbers, booleans and lists TOML writes the same

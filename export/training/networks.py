@@ -1,0 +1,230 @@
+"""Multilayer perceptrons for many policies at once: one batched product per layer.
+
+Parameters travel as (P, K), a row a member, as they are exported. For learning they are packed into one
+vector (P * K,) in which each tensor (P, *shape) lies in one piece.
+
+The actor of the thesis: Linear, tanh, then 3 x [Linear, LayerNorm, tanh], Linear, tanh. Its output u in
+[-1, 1] is the action in units of the bound; the exported network adds action_offset + action_scale * u.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import leaky_relu_
+
+from export.network import Layer, Network, layout, n_parameters
+from export.training.config import ActorSettings, TD3Settings
+from task.state import N_ACTION
+
+
+def actor_network(settings: ActorSettings) -> Network:
+    """Return the actor's description; the action is a deflection [rad]."""
+    plain = Layer(units=settings.width, activation=settings.activation)
+    normalised = Layer(units=settings.width, layer_norm=settings.layer_norm, activation=settings.activation)
+    return Network(
+        layers=(plain, *[normalised] * settings.hidden, Layer(units=N_ACTION, activation="tanh")),
+        input_scale=settings.input_scale,
+        action_offset=settings.action_offset,
+    )
+
+
+def critic_network(actor: Network, settings: TD3Settings) -> Network:
+    """Return the description of a critic Q(s, u): it sees the observation as the actor does, and u."""
+    hidden = (
+        Layer(units=units, layer_norm=settings.critic_layer_norm, activation=settings.critic_activation)
+        for units in settings.critic_layers
+    )
+    return Network(
+        layers=(*hidden, Layer(units=1, activation="linear")),
+        observation=actor.observation + actor.action,
+        action=1,
+        input_scale=(*actor.input_scale, *[1.0] * actor.action),
+        action_scale=(1.0,),
+        action_offset=(0.0,),
+    )
+
+
+def views(network: Network, parameters: Tensor) -> list[Tensor]:
+    """Return the tensors of ``parameters`` (P, K) in the layout's order, each (P, *shape), without copying."""
+    return [parameters[:, t.offset : t.offset + math.prod(t.shape)].view(-1, *t.shape) for t in layout(network)]
+
+
+def pieces(network: Network, packed: Tensor) -> list[Tensor]:
+    """Return the tensors of a packed vector (P * K,) in the layout's order, each (P, *shape), without copying."""
+    count = packed.numel() // n_parameters(network)
+    return [
+        packed[count * t.offset : count * (t.offset + math.prod(t.shape))].view(count, *t.shape)
+        for t in layout(network)
+    ]
+
+
+def pack(network: Network, parameters: Tensor) -> Tensor:
+    """Return parameters (P, K) as a packed vector (P * K,)."""
+    return torch.cat([view.reshape(-1) for view in views(network, parameters)])
+
+
+def unpack(network: Network, packed: Tensor) -> Tensor:
+    """Return a packed vector as parameters (P, K)."""
+    return torch.cat([piece.flatten(1) for piece in pieces(network, packed)], dim=1)
+
+
+def weight_mask(network: Network) -> Tensor:
+    """Return (K,) bool: True on weight matrices, which are all that mutation changes (as published)."""
+    mask = torch.zeros(n_parameters(network), dtype=torch.bool)
+    for row in layout(network):
+        if row.name.endswith("weight"):
+            mask[row.offset : row.offset + math.prod(row.shape)] = True
+    return mask
+
+
+def initialise(network: Network, count: int, generator: torch.Generator) -> Tensor:
+    """Draw (count, K) parameters: uniform in +-1/sqrt(inputs), gains one, shifts zero. On the CPU."""
+    flat = torch.zeros(count, n_parameters(network))
+    inputs = network.observation
+    for row, tensor in zip(layout(network), views(network, flat), strict=True):
+        kind = row.name.rsplit(".", 1)[1]
+        if kind == "weight":
+            inputs = row.shape[1]
+        if kind in ("weight", "bias"):
+            tensor.uniform_(-1.0, 1.0, generator=generator).div_(math.sqrt(inputs))
+        elif kind == "gain":
+            tensor.fill_(1.0)
+    return flat
+
+
+class Stack:
+    """P networks of one shape as one: forward and hand-derived backward, without autograd's bookkeeping."""
+
+    def __init__(self, network: Network, tensors: list[Tensor], gradients: list[Tensor] | None = None) -> None:
+        """Hold ``tensors`` (as from :func:`views` or :func:`pieces`) and where their gradients go, as they are."""
+        self.network = network
+        self.count = tensors[0].shape[0]
+        gradients = gradients or []
+        self._layers: list[dict[str, Tensor]] = [{} for _ in network.layers]
+        self._gradients: list[dict[str, Tensor]] = [{} for _ in network.layers]
+        for i, row in enumerate(layout(network)):
+            _, index, kind = row.name.split(".")
+            # Bias, gain and shift (P, units) broadcast over the batch.
+            self._layers[int(index)][kind] = tensors[i] if kind == "weight" else tensors[i].unsqueeze(1)
+            if gradients:
+                self._gradients[int(index)][kind] = gradients[i] if kind == "weight" else gradients[i].unsqueeze(1)
+        self._saved: list[tuple[Tensor, ...]] = []
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return the last layer's output (P, B, out): an actor's u in [-1, 1], a critic's Q.
+
+        x: (P, B, in), or (B, in) for all alike, already multiplied by ``input_scale``. Remembers what
+        :meth:`backward` needs.
+        """
+        h = x if x.dim() == 3 else x.expand(self.count, *x.shape)
+        self._saved = []
+        for layer, part in zip(self.network.layers, self._layers, strict=True):
+            z = torch.baddbmm(part["bias"], h, part["weight"].transpose(1, 2))
+            saved = [h]
+            if layer.layer_norm != "none":
+                normal, mean, rstd = torch.native_layer_norm(z, (layer.units,), None, None, self.network.layer_norm_eps)
+                saved += [z, mean, rstd, normal]
+                z = torch.addcmul(part["shift"], normal, part["gain"])
+            h = _activate(z, layer.activation, self.network.leaky_slope)
+            self._saved.append((h, *saved))
+        return h
+
+    def backward(self, grad: Tensor, to_parameters: bool = True, to_input: bool = False) -> Tensor:
+        """Take d loss / d output (P, B, out) back through the last call.
+
+        Overwrites the gradients where ``to_parameters``; returns d loss / d input (P, B, in) where
+        ``to_input``, otherwise the gradient before the first layer's product.
+        """
+        for index in reversed(range(len(self._layers))):
+            layer, part, into = self.network.layers[index], self._layers[index], self._gradients[index]
+            h, x, *norm = self._saved[index]
+            grad = _activation_gradient(grad, h, layer.activation, self.network.leaky_slope)
+            if norm:
+                z, mean, rstd, normal = norm
+                if to_parameters:
+                    torch.sum(grad * normal, 1, keepdim=True, out=into["gain"])
+                    torch.sum(grad, 1, keepdim=True, out=into["shift"])
+                grad = torch.ops.aten.native_layer_norm_backward(
+                    grad * part["gain"], z, (layer.units,), mean, rstd, None, None, (True, False, False)
+                )[0]
+            if to_parameters:
+                torch.bmm(grad.transpose(1, 2), x, out=into["weight"])
+                torch.sum(grad, 1, keepdim=True, out=into["bias"])
+            if index or to_input:
+                grad = torch.bmm(grad, part["weight"])
+        return grad
+
+
+def _activate(z: Tensor, activation: str, leaky_slope: float) -> Tensor:
+    """Return the activation of z, in the place of z."""
+    if activation == "tanh":  # by the logistic function: three times as fast as torch.tanh on a CPU
+        return z.mul_(2.0).sigmoid_().mul_(2.0).sub_(1.0)
+    if activation == "relu":
+        return z.relu_()
+    if activation == "leaky_relu":
+        return leaky_relu_(z, leaky_slope)
+    return z
+
+
+def _activation_gradient(grad: Tensor, h: Tensor, activation: str, leaky_slope: float) -> Tensor:
+    """Return d loss / d z from d loss / d h and h, the activation's output."""
+    if activation == "tanh":
+        return torch.addcmul(grad, grad * h, h, value=-1.0)
+    if activation == "relu":
+        return grad * (h > 0.0)
+    if activation == "leaky_relu":
+        return torch.where(h > 0.0, grad, leaky_slope * grad)
+    return grad
+
+
+class Trainable(Stack):
+    """A stack whose values, gradients and Adam moments are each one packed vector.
+
+    So a handful of calls serve every tensor of every member: optimiser step, gradient norm, Polyak averaging.
+    """
+
+    BETAS = (0.9, 0.999)
+    EPS = 1e-8
+
+    def __init__(self, network: Network, parameters: Tensor, learning_rate: float) -> None:
+        """Take a copy of ``parameters`` (P, K)."""
+        self.learning_rate = learning_rate
+        self.packed = pack(network, parameters)
+        self.grad = torch.zeros_like(self.packed)
+        self.mean = torch.zeros_like(self.packed)
+        self.square = torch.zeros_like(self.packed)
+        self.steps = 0
+        super().__init__(network, pieces(network, self.packed), pieces(network, self.grad))
+
+    def parameters(self) -> Tensor:
+        """Return a copy of the parameters (P, K)."""
+        return unpack(self.network, self.packed)
+
+    def step(self, clip: float | None = None) -> None:
+        """Clip the norm of all gradients together where asked, then take one step of Adam."""
+        if clip is not None:
+            self.grad.mul_((clip / (torch.linalg.vector_norm(self.grad) + 1e-6)).clamp_(max=1.0))
+        self.steps += 1
+        beta1, beta2 = self.BETAS
+        self.mean.lerp_(self.grad, 1.0 - beta1)
+        self.square.mul_(beta2).addcmul_(self.grad, self.grad, value=1.0 - beta2)
+        root = (self.square / (1.0 - beta2**self.steps)).sqrt_().add_(self.EPS)
+        self.packed.addcdiv_(self.mean, root, value=-self.learning_rate / (1.0 - beta1**self.steps))
+
+    def state(self) -> dict[str, Tensor]:
+        """Return parameters and moments, for a checkpoint."""
+        return {
+            "packed": self.packed,
+            "mean": self.mean,
+            "square": self.square,
+            "steps": torch.tensor(self.steps),
+        }
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Take up a checkpoint's parameters and moments."""
+        for name in ("packed", "mean", "square"):
+            getattr(self, name).copy_(state[name])
+        self.steps = int(state["steps"])
