@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from enum import IntFlag
+import math
 
 import numpy as np
 
 from runtime.config import Operation
-from task.limits import ACTION_HIGH, ACTION_LOW
+from task.limits import DEFLECTION_LIMIT
 from task.state import N_ACTION, N_STATE, STATE
 
 
-class Health(IntFlag):
-    """What is wrong in this cycle; 0 is well. The log holds the bits."""
+class Health:
+    """Flags of what is wrong in a cycle; 0 is well. The log holds the bits.
+
+    Plain integers: an operation on an IntFlag costs a microsecond, and each cycle has a dozen.
+    """
 
     OK = 0
     STATE_NOT_FINITE = 1
@@ -40,7 +43,10 @@ MEANING = {
 }
 """Flag: in words."""
 
-PLAUSIBLE = np.full(N_STATE, np.inf)
+NAMES = {flag: name.lower() for name, flag in vars(Health).items() if name.isupper() and flag}
+"""Flag: its name in the summary."""
+
+PLAUSIBLE = np.full(N_STATE, np.finfo(float).max)
 """Largest absolute value of each state that is believed, in SI units: rates 20 rad/s, 1000 m/s, angles within a turn,
 altitude 50 km. Far outside any flight: it catches units and garbage, not manoeuvres."""
 PLAUSIBLE[[STATE.p, STATE.q, STATE.r]] = 20.0
@@ -60,9 +66,8 @@ class Guard:
 
     def __init__(self, settings: Operation) -> None:
         self._settings = settings
-        self._blend_in = settings.dt / max(settings.trim_time, settings.dt)
+        self._share = settings.dt / max(settings.trim_time, settings.dt)
         self._held = np.zeros(N_ACTION)
-        self._trim = np.zeros(N_ACTION)
         self._out = np.zeros(N_ACTION)
         self._magnitude = np.zeros(N_STATE)
         self._inside = np.zeros(N_STATE, dtype=bool)
@@ -73,41 +78,40 @@ class Guard:
         self._good = 0
         self._without = 0
         self._held[:] = 0.0
-        self._trim[:] = 0.0
+        self._trim = [0.0] * N_ACTION
 
     @property
     def has_command(self) -> bool:
         """Whether there was a good command in this flight."""
         return self._good > 0
 
-    def check_state(self, x: np.ndarray) -> Health:
+    def check_state(self, x: np.ndarray) -> int:
         """Return what is wrong with a state (12,); OK when it may be used."""
         np.abs(x, out=self._magnitude)
         np.less_equal(self._magnitude, PLAUSIBLE, out=self._inside)
-        if self._inside.all() and self._magnitude[STATE.xe] < np.inf and self._magnitude[STATE.ye] < np.inf:
+        if self._inside.all():
             return Health.OK
         return Health.STATE_IMPLAUSIBLE if np.isfinite(x).all() else Health.STATE_NOT_FINITE
 
-    def command(self, action: np.ndarray) -> tuple[np.ndarray, Health]:
+    def command(self, action: np.ndarray) -> tuple[np.ndarray, int]:
         """Return the command (3,) [rad] to send for the policy's ``action``, finite and in limits, and what was wrong.
 
         The array is reused at the next call.
         """
-        total = float(action[0]) + float(action[1]) + float(action[2])
-        if not -np.inf < total < np.inf:
+        asked = action.tolist()
+        if not all(map(math.isfinite, asked)):
             out, health = self.fallback()
             return out, health | Health.ACTION_NOT_FINITE
-        np.minimum(action, ACTION_HIGH, out=self._out)
-        np.maximum(self._out, ACTION_LOW, out=self._out)
-        beyond = max(abs(float(a) - float(b)) for a, b in zip(action, self._out, strict=True))
-        self._without = 0
-        np.copyto(self._held, self._out)
+        sent = [min(max(a, -DEFLECTION_LIMIT), DEFLECTION_LIMIT) for a in asked]
         self._good += 1
-        share = max(self._blend_in, 1.0 / self._good)
-        self._trim += share * (self._out - self._trim)
-        return self._out, Health.ACTION_LIMITED if beyond > self.TOLERANCE else Health.OK
+        self._without = 0
+        self._held[:] = self._out[:] = sent
+        share = max(self._share, 1.0 / self._good)
+        self._trim = [trim + share * (a - trim) for trim, a in zip(self._trim, sent, strict=True)]
+        beyond = any(abs(a - b) > self.TOLERANCE for a, b in zip(asked, sent, strict=True))
+        return self._out, Health.ACTION_LIMITED if beyond else Health.OK
 
-    def fallback(self) -> tuple[np.ndarray, Health]:
+    def fallback(self) -> tuple[np.ndarray, int]:
         """Return the command (3,) [rad] for one more sample without a good one; the array is reused."""
         self._without += 1
         beyond_hold = self._without * self._settings.dt - self._settings.hold_time
@@ -117,6 +121,6 @@ class Guard:
         return self._out, Health.HOLDING
 
 
-def describe(health: Health) -> str:
+def describe(health: int) -> str:
     """Return the flags in words, most telling first."""
     return "; ".join(text for flag, text in MEANING.items() if flag & health) or "well"

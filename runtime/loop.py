@@ -12,7 +12,7 @@ import numpy as np
 
 from runtime.clock import Clock
 from runtime.config import Operation
-from runtime.guard import UNUSABLE, Guard, Health, describe
+from runtime.guard import NAMES, UNUSABLE, Guard, Health, describe
 from runtime.identification import IncrementalModel
 from runtime.link import Link, Sample, Severity
 from runtime.plays import Played, Plays
@@ -71,14 +71,11 @@ class Loop:
         """The first state of the flight that took this one's place."""
         self._dt_us = round(operation.dt * 1e6)
         self._observation = np.zeros(N_OBSERVATION)
-        self._said_at: dict[Health, int] = {}
+        self._said_at: dict[int, int] = {}
 
     def fly(self, first: Sample) -> Outcome:
         """Fly from the first state until the flight ends, and say how it ended."""
-        self.first = self.last = first
-        self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
-        self.reference.start(first.x)
-        self.clock.arrived()
+        self.begin(first)
         heard = time.monotonic()
         sample: Sample | None = first
         with np.errstate(all="ignore"):
@@ -98,6 +95,13 @@ class Loop:
                 if sample is not None and self.replaces(sample):
                     self.next_flight = sample
                     return Outcome.REPLACED
+
+    def begin(self, first: Sample) -> None:
+        """Set the times that the flight is counted from."""
+        self.first = self.last = first
+        self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
+        self.reference.start(first.x)
+        self.clock.arrived()
 
     def cycle(self, sample: Sample) -> None:
         """Answer one state: read, identify, decide, act, write."""
@@ -130,7 +134,7 @@ class Loop:
         """Return how many samples after the first one this is."""
         return round((sample.time_usec - self.first.time_usec) / self._dt_us)
 
-    def check(self, sample: Sample) -> Health:
+    def check(self, sample: Sample) -> int:
         """Return what is wrong with a state; across a gap the model forms no increment."""
         health = self.guard.check_state(sample.x)
         if sample is not self.first and abs(sample.time_usec - self.last.time_usec - self._dt_us) > self._dt_us // 4:
@@ -155,7 +159,7 @@ class Loop:
         tick: int,
         reference: np.ndarray,
         command: np.ndarray,
-        health: Health,
+        health: int,
         played: Played | None,
     ) -> None:
         """Record and count what the cycle did, and say what is worth a line."""
@@ -181,11 +185,13 @@ class Loop:
         kind, name = decision.action.name.lower(), self.members[decision.member]
         return f"{kind} switch to {name}: predicted {best:.1f}, incumbent {incumbent:.1f} ({REASONS[decision.reason]})"
 
-    def report(self, sample: Sample, health: Health) -> None:
+    def report(self, sample: Sample, health: int) -> None:
         """Count the flags that are up, and say those that were not said lately."""
         news = Health.OK
-        for flag in health:
-            self.health_counts[str(flag.name).lower()] += 1
+        for flag, name in NAMES.items():
+            if not flag & health:
+                continue
+            self.health_counts[name] += 1
             if self.cycles - self._said_at.get(flag, -self.SAY_AGAIN) >= self.SAY_AGAIN:
                 self._said_at[flag] = self.cycles
                 news |= flag

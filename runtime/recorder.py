@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from runtime.config import Configuration
-from runtime.guard import Health
 from runtime.link import Severity
 from runtime.switching import Decision
 from runtime.ulog import ULog
@@ -157,10 +156,10 @@ class Recorder:
         reference: np.ndarray,
         blend: float,
         member: int,
-        health: Health,
+        health: int,
     ) -> None:
         """Record one cycle, and hand the log over every so often."""
-        self._log.write(self._cycle, time_usec, *x, *action, *reference, blend, tick, member, int(health))
+        self._log.write(self._cycle, time_usec, *x, *action, *reference, blend, tick, member, health)
         self._unflushed += 1
         if self._unflushed >= self._flush_ticks:
             self._unflushed = 0
