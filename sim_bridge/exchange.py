@@ -108,8 +108,8 @@ class _Base:
             self._counts.refused[command.refusal] += 1
         if command.time_us == time_us:
             return True
-        # A state that was sent several times is answered several times: that is no fault of the runtime.
-        self._counts.stale += command.time_us != self._sent_again
+        # A state that was sent again is answered again, and a runtime that misses a state repeats itself: no fault.
+        self._counts.stale += command.time_us not in (self._sent_again, self.echo)
         return False
 
     def _accept(self, command: Command) -> None:
@@ -239,7 +239,7 @@ class RealTime(_Base):
 
     def _take(self, command: Command, time_us: int) -> None:
         """Put a command into force when it answers a newer state than the one in force."""
-        if self._judge(command, time_us):
+        if self._judge(command, time_us) and self.echo < time_us:
             self.response.append(time.perf_counter() - self._sent_at)
         if self.echo < command.time_us <= time_us and command.action is not None:
             self._accept(command)
