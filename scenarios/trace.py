@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pyulog import ULog
+
+from task.errors import UserError
+from task.state import ACTION, STATE
 
 
 @dataclass(frozen=True)
@@ -22,17 +29,28 @@ class FlightTrace:
     """(T, 3) commanded deflections [rad]."""
     surfaces: np.ndarray
     """(T, 3) true deflections [rad]."""
+    faulty: np.ndarray
+    """(T,) bool: whether any fault acts."""
     planned_samples: int
     """How many samples the flight was to have."""
-    fault_at: float | None = None
-    """When the first fault begins [s]; None without one."""
+
+    @property
+    def fault_at(self) -> float | None:
+        """When the first fault begins [s]: None without one, 0 when it is there from the start."""
+        acting = np.flatnonzero(self.faulty)
+        return float(self.time[acting[0]]) if acting.size else None
+
+    def fault_spans(self) -> list[tuple[float, float]]:
+        """Return from when to when [s] anything is broken."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.faulty, [False]]).astype(int)))
+        return [(float(self.time[a]), float(self.time[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
 class Play(NamedTuple):
     """One imagined comparison of the cast: what each member would earn."""
 
     time: float
-    """When the answer was applied [s]."""
+    """When the answer decided [s]."""
     returns: np.ndarray
     """(P + 1,) predicted returns, the incumbent last."""
 
@@ -48,17 +66,75 @@ class Switch(NamedTuple):
 
 @dataclass(frozen=True)
 class AdaptationTrace:
-    """What the runtime thought and decided."""
+    """What the runtime thought and decided, cycle by cycle."""
 
     time: np.ndarray
     """(T,) simulated time of each cycle [s]."""
     active: np.ndarray
     """(T,) index of the member that flies, or that a soft switch moves towards."""
     innovation: np.ndarray
-    """(T, S) one-step prediction error of the identified increments, in SI units per sample."""
+    """(T, S) what the model did not foresee of each state's increment (eq. 8.7), SI units per sample."""
     members: list[str]
     """(P,) names of the cast."""
     innovation_names: list[str] = field(default_factory=list)
     """(S,) which state each innovation belongs to."""
     plays: list[Play] = field(default_factory=list)
     switches: list[Switch] = field(default_factory=list)
+
+
+def read_truth(path: Path, reference: np.ndarray) -> FlightTrace:
+    """Read what the bridge recorded (``sim_bridge.truth``); reference: (T, 3) [rad] of the whole planned flight.
+
+    Raises UserError when the file is missing or is no such record.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as truth:
+            time_us, x, surfaces = truth["time_us"], truth["x"], truth["surfaces"]
+            command, faults = truth["command"], truth["faults"]
+    except FileNotFoundError:
+        raise UserError(f"{path}: no true states; the flight did not end; fly it again") from None
+    except (KeyError, ValueError, OSError, EOFError) as error:
+        raise UserError(f"{path}: not a record of the bridge: {error}; fly it again") from None
+    samples = min(len(x), len(reference))
+    held = np.concatenate([command, command[-1:]])[:samples] if len(command) else np.zeros((samples, len(ACTION)))
+    return FlightTrace(
+        time=time_us[:samples] * 1e-6,
+        x=x[:samples],
+        reference=reference[:samples],
+        command=held,
+        surfaces=surfaces[:samples],
+        faulty=faults[:samples].any(axis=1),
+        planned_samples=len(reference),
+    )
+
+
+def read_log(path: Path) -> AdaptationTrace:
+    """Read the runtime's flight log (ULog). Raises UserError when it is missing or lacks what belongs in it."""
+    if not path.is_file():
+        raise UserError(f"{path}: no flight log; the runtime did not fly; fly it again")
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it thinks of a file
+            log = ULog(str(path))
+        topics = {data.name: data.data for data in log.data_list}
+        cycle, innovation = topics["cycle"], topics["innovation"]
+        members = log.msg_info_dict["members"].split(",")
+    except Exception as error:  # pyulog raises whatever its parser stumbles over
+        raise UserError(f"{path}: not a flight log of the runtime: {error!r}; fly it again") from None
+    names = [s.name for s in STATE if s.name in innovation]
+    play = topics.get("play")
+    plays, switches = [], []
+    if play is not None:
+        returns = np.stack([play[f"returns[{i}]"] for i in range(len(members) + 1)], axis=1)
+        time = play["timestamp"] * 1e-6
+        plays = [Play(float(t), r) for t, r in zip(time, returns, strict=True)]
+        changed = np.flatnonzero(play["action"])
+        switches = [Switch(float(time[i]), int(play["member"][i])) for i in changed]
+    return AdaptationTrace(
+        time=cycle["timestamp"] * 1e-6,
+        active=cycle["member"].astype(int),
+        innovation=np.stack([innovation[name] for name in names], axis=1).astype(float),
+        members=members,
+        innovation_names=names,
+        plays=plays,
+        switches=switches,
+    )

@@ -21,8 +21,8 @@ def flight(samples: int = 1000, planned: int | None = None, fault_at: float | No
         reference=np.zeros((samples, N_REFERENCE)),
         command=np.zeros((samples, N_ACTION)),
         surfaces=np.zeros((samples, N_ACTION)),
+        faulty=np.arange(samples) * 0.01 >= (np.inf if fault_at is None else fault_at),
         planned_samples=planned or samples,
-        fault_at=fault_at,
     )
 
 
@@ -65,11 +65,11 @@ def test_without_a_sudden_fault_there_is_no_before_and_after(fault_at: float | N
 
 
 def test_smoothness_of_one_sine_is_its_amplitude_and_frequency() -> None:
-    # |A[k]|^2 / n = amplitude^2 n / 4 at k = f T, so Sm = -10/T * sqrt(2/n * amplitude^2 n/4 * f)
+    # |A[k]|^2 dt = amplitude^2 n^2 dt / 4 at k = f T, so Sm = -8000/T * sqrt(2/n * that * f) with n dt = T = 10 s
     trace = flight()
     amplitude, frequency = 1.0 * DEGREE, 2.0
     trace.command[:, ACTION.de] = amplitude * np.sin(2 * np.pi * frequency * trace.time)
-    assert score_flight(trace).smoothness == pytest.approx(-10.0 / 10.0 * amplitude * np.sqrt(frequency / 2.0))
+    assert score_flight(trace).smoothness == pytest.approx(-8000.0 / 10.0 * amplitude * np.sqrt(10.0 * frequency / 2.0))
 
 
 def test_the_largest_command_step_is_over_all_surfaces_in_degrees() -> None:

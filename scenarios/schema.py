@@ -1,0 +1,125 @@
+"""What a scripted flight is: a TOML file of this shape; unknown keys are refused and named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+import msgspec
+
+from sim_bridge.flight import Flight
+from task.config import Settings, load_toml
+from task.errors import UserError
+from task.reference import FAMILIES, FamilyName
+
+FOLDER = Path(__file__).parent
+"""Where the scenarios of this package lie."""
+
+Seed = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class Mode(NamedTuple):
+    """One way of adapting: the runtime's preset and how it changes the cast."""
+
+    name: str
+    preset: Literal["thesis", "understudy"]
+    switch: Literal["none", "hard", "soft"]
+
+
+MODES: dict[str, Mode] = {
+    mode.name: mode
+    for mode in (
+        Mode("none", "understudy", "none"),
+        Mode("thesis-hard", "thesis", "hard"),
+        Mode("thesis-soft", "thesis", "soft"),
+        Mode("understudy-hard", "understudy", "hard"),
+        Mode("understudy-soft", "understudy", "soft"),
+    )
+}
+"""``none`` flies the champion throughout; ``thesis`` is chapter 8 as published, ``understudy`` what we recommend."""
+
+ModeName = Literal["none", "thesis-hard", "thesis-soft", "understudy-hard", "understudy-soft"]
+
+
+class References(Settings, frozen=True):
+    """What the aircraft is to follow: the thesis's fixed base case, random draws of a family, or a file."""
+
+    source: Literal["base", "random", "file"] = "base"
+    """Which of the three."""
+    family: FamilyName = "evaluation"
+    """Family of random references (``task.reference.FAMILIES``)."""
+    seeds: tuple[Seed, ...] = (1,)
+    """One random reference for each seed."""
+    file: str | None = None
+    """CSV of t, theta, phi, beta [s, rad], absolute angles; relative to the scenario's folder."""
+
+
+class Scenario(Settings, frozen=True):
+    """A scripted flight: the aircraft and what breaks in it, what it is to follow, and the modes that are compared."""
+
+    title: str
+    """One line for the head of tables and reports."""
+    description: str = ""
+    """What is to be seen; a sentence or two."""
+    flight: Flight = Flight()
+    """The bridge's side: duration, condition, wind, sensors, faults, seed."""
+    references: References = References()
+    """The references; the pitch reference of ``base`` and ``random`` is added to the trim pitch."""
+    modes: tuple[ModeName, ...] = get_args(ModeName)
+    """Which modes are flown, all on the same references."""
+    population: str = "serl10"
+    """The cast: a folder, or the name of one under ``populations/``."""
+
+
+def available() -> dict[str, Path]:
+    """Return the scenarios of this package: bare name and file."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+
+
+def find(name: str) -> Path:
+    """Return the file of a scenario given by path or by bare name. Raises UserError."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.exists():
+        return path
+    known = available()
+    if name not in known:
+        raise UserError(f"scenario {name!r}: no such scenario; choose one of {', '.join(known)}, or give a .toml file")
+    return known[name]
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario. Raises UserError that says file, key, expected and got."""
+    scenario = load_toml(path, Scenario, "scenario")
+    references = scenario.references
+    if not scenario.modes:
+        raise UserError(f"{path}: modes: expected at least one of {', '.join(MODES)}, got none")
+    if len(set(scenario.modes)) < len(scenario.modes):
+        raise UserError(f"{path}: modes: expected each mode once, got {', '.join(scenario.modes)}")
+    if references.source == "file" and references.file is None:
+        raise UserError(f"{path}: references.file: expected a CSV file, as references.source is 'file'; got none")
+    if references.source == "random" and not references.seeds:
+        raise UserError(f"{path}: references.seeds: expected at least one seed for {', '.join(FAMILIES)}; got none")
+    return scenario
+
+
+def to_toml(settings: Settings) -> str:
+    """Return settings as TOML that reads back to the same struct; fields that are None are left out."""
+    tree: Mapping[str, Any] = msgspec.to_builtins(settings)
+    return "".join(f"{key} = {_value(value)}\n" for key, value in tree.items() if value is not None)
+
+
+def _value(value: Any) -> str:
+    """Return one TOML value; tables are written inline."""
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+        return f"{{ {inside} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+        return "inf" if value > 0 else "-inf"
+    return msgspec.json.encode(value).decode()  # numbers, words and booleans are written alike in JSON and TOML
+
+
+def _key(key: str) -> str:
+    return key if key.isidentifier() else msgspec.json.encode(key).decode()
