@@ -82,6 +82,9 @@ class MavlinkLink:
         self._odometry = Odometry()
         self._origin_altitude: float | None = None
         self._peer: Peer | None = None if address.bind else address.peer
+        """Whose states are flown."""
+        self._caller: Peer | None = None
+        """Who spoke last: is told that we are here while there is no peer."""
         self._aircraft = (-1, -1)
         self._peer_heard = -1e9
         self._flight = -1
@@ -169,7 +172,7 @@ class MavlinkLink:
         return frame
 
     def _send(self, frame: bytes | bytearray, to: Peer | None = None) -> None:
-        peer = to or self._peer
+        peer = to or self._peer or self._caller
         if peer is None:
             return
         try:
@@ -215,6 +218,7 @@ class MavlinkLink:
             size, peer = self._socket.recvfrom_into(self._buffer)
         except OSError:
             return None
+        self._caller = peer
         data, start, sample = self._buffer, 0, None
         while start < size:
             frame = next_frame(data, start, size)
@@ -233,14 +237,6 @@ class MavlinkLink:
         if not checksum_holds(self._buffer, frame, ODOMETRY_EXTRA):
             self._refuse(f"ODOMETRY of {peer[0]}:{peer[1]} with a wrong checksum: damaged, or another MAVLink dialect")
             return None
-        now = time.monotonic()
-        identity = (frame.system, frame.component)
-        if (peer, identity) != (self._peer, self._aircraft):
-            if now - self._peer_heard < self.PEER_SILENCE:
-                self._refuse(f"ODOMETRY of a second aircraft, {peer[0]}:{peer[1]} system {frame.system}")
-                return None
-            self._peer, self._aircraft = peer, identity
-        self._peer_heard = now
         if self._origin_altitude is None:
             self._refuse("ODOMETRY before any GPS_GLOBAL_ORIGIN: its altitude is unknown")
             return None
@@ -252,6 +248,14 @@ class MavlinkLink:
                 f"(MAV_FRAME_LOCAL_NED), {BODY_FRD} (MAV_FRAME_BODY_FRD)"
             )
             return None
+        now = time.monotonic()
+        identity = (frame.system, frame.component)
+        if (peer, identity) != (self._peer, self._aircraft):
+            if now - self._peer_heard < self.PEER_SILENCE:
+                self._refuse(f"ODOMETRY of a second aircraft, {peer[0]}:{peer[1]} system {frame.system}")
+                return None
+            self._peer, self._aircraft = peer, identity
+        self._peer_heard = now
         if (odometry.reset_counter, odometry.time_usec) == self._answered:
             self.repeated += 1
             self._send(self._controls.pack(self._next_sequence(), odometry.time_usec, self._answer))

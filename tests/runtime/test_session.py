@@ -1,0 +1,276 @@
+"""Whole flights on the plant, in process: the runtime's own parts, no sockets."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyulog import ULog
+
+from runtime.config import resolve
+from runtime.link import Sample
+from runtime.loop import Outcome
+from runtime.population import load_population
+from runtime.reference import LiveReference, RecordedReference
+from runtime.session import Session, log_path
+from task.errors import UserError
+from task.limits import DEFLECTION_LIMIT
+from task.reference import base_reference
+from task.state import STATE
+
+ROWS = base_reference(20.0, 0.056)
+
+
+@pytest.fixture(scope="session")
+def cast(cast_folder):
+    return load_population(cast_folder)
+
+
+def fly(link, cast, log, preset="understudy", overrides=(), switch=None, reference=None, **options):
+    configuration = resolve(preset, None, overrides, switch)
+    with Session(link, cast, reference or RecordedReference(ROWS), configuration, log, **options) as session:
+        return session.fly()
+
+
+def topics(log):
+    return {topic.name: topic.data for topic in ULog(str(log)).data_list}
+
+
+def weak_elevator(tick, action):
+    return action * np.array([0.25 if tick >= 300 else 1.0, 1.0, 1.0])
+
+
+def test_the_champion_flies_the_whole_reference(cast, plant_link, tmp_path):
+    link = plant_link(2000)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", switch="none")
+    assert flown.outcome is Outcome.OVER
+    assert flown.summary.cycles == 2000
+    assert flown.summary.plays == 0
+    assert np.degrees(link.error(ROWS)).max() < 2.5
+
+
+@pytest.mark.parametrize("switch", ["hard", "soft"])
+def test_a_weak_elevator_is_answered_with_a_stronger_member(cast, plant_link, tmp_path, switch):
+    alone = plant_link(2000, weak_elevator)
+    fly(alone, cast, tmp_path / "none.ulg", switch="none")
+    link = plant_link(2000, weak_elevator)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", switch=switch)
+    assert flown.summary.switches >= 1
+    assert link.error(ROWS)[0] < 0.8 * alone.error(ROWS)[0]
+    cycle = topics(tmp_path / "f.ulg")["cycle"]
+    assert cycle["member"][-1] == cast.members.index("strong")
+    assert (cycle["blend"].max() > 0.0) == (switch == "soft")
+
+
+@pytest.mark.parametrize("preset", ["thesis", "understudy"])
+def test_two_flights_leave_the_same_bits(cast, plant_link, tmp_path, preset):
+    logs = []
+    for name in ("a", "b"):
+        fly(plant_link(700, weak_elevator), cast, tmp_path / f"{name}.ulg", preset)
+        logs.append((tmp_path / f"{name}.ulg").read_bytes())
+    assert logs[0] == logs[1]
+
+
+def test_the_log_says_what_was_seen_decided_and_done(cast, plant_link, tmp_path):
+    link = plant_link(1000)
+    fly(link, cast, tmp_path / "f.ulg", overrides=("kappa=0.999",), information={"link": "here"})
+    log = ULog(str(tmp_path / "f.ulg"))
+    data = {topic.name: topic.data for topic in log.data_list}
+    cycle = data["cycle"]
+    assert list(cycle["tick"]) == list(range(1000))
+    assert list(cycle["timestamp"]) == [10_000 * k for k in range(1000)]
+    truth = np.array(link.x[:1000])
+    for signal_ in STATE:
+        np.testing.assert_allclose(cycle[signal_.name], truth[:, signal_], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(np.column_stack([cycle[n] for n in ("de", "da", "dr")]), link.sent, atol=1e-7)
+    np.testing.assert_allclose(cycle["theta_ref"], ROWS[:1000, 0], atol=1e-6)
+    assert set(data["innovation"]) == {"timestamp", "trace_P", "p", "q", "r", "V", "alpha", "beta"}
+    play = data["play"]
+    assert list(play["tick_asked"]) == [200, 400, 600, 800]
+    np.testing.assert_allclose(play["age"], 0.1, atol=1e-6)
+    assert {f"returns[{i}]" for i in range(len(cast.members) + 1)} <= set(play)
+    assert log.initial_parameters["adaptation.kappa"] == pytest.approx(0.999)
+    assert log.msg_info_dict["members"] == ",".join(cast.members)
+    assert log.msg_info_dict["link"] == "here"
+    assert any("flight ends: over" in m.message for m in log.logged_messages)
+    configuration = json.loads((tmp_path / "f.config.json").read_text())
+    assert configuration["adaptation"]["kappa"] == 0.999
+    summary = json.loads((tmp_path / "f.summary.json").read_text())
+    assert summary["outcome"] == "over"
+    assert summary["cycle_us"]["count"] == 1000
+
+
+@pytest.mark.parametrize(
+    ("ticks", "value", "flag"),
+    [(range(400, 430), np.nan, "state_not_finite"), (range(400, 401), 1e5, "state_implausible")],
+)
+def test_a_state_that_cannot_be_used_is_held_over_and_said(cast, plant_link, tmp_path, ticks, value, flag):
+    def spoil(tick, x):
+        if tick in ticks:
+            x[STATE.q] = value
+        return x
+
+    link = plant_link(1000, state=spoil)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg")
+    assert flown.outcome is Outcome.OVER
+    assert flown.summary.health[flag] == len(ticks)
+    sent = np.array(link.sent)
+    assert np.isfinite(sent).all()
+    np.testing.assert_array_equal(sent[ticks[0] : ticks[-1] + 1], np.tile(sent[ticks[0] - 1], (len(ticks), 1)))
+    assert len(link.lines) < 5
+    assert link.error(ROWS)[0] < np.radians(3.0)
+
+
+def test_the_first_state_is_waited_for_until_it_can_be_used(cast, plant_link, tmp_path):
+    asked = []
+
+    def blind(tick, x):
+        asked.append(tick)
+        return x * np.nan if len(asked) < 5 else x
+
+    lines = []
+    (flown,) = fly(plant_link(20, state=blind), cast, tmp_path / "f.ulg", say=lines.append)
+    assert flown.summary.cycles == 20
+    assert any("not flying yet: the state is not finite" in line for line in lines)
+
+
+def test_states_that_never_can_be_used_are_one_line(cast, plant_link, tmp_path):
+    link = plant_link(20, state=lambda tick, x: x * np.nan)
+    with pytest.raises(UserError, match=r"no state within 0\.1 s: states came, but the state is not finite"):
+        fly(link, cast, tmp_path / "f.ulg", overrides=("start_patience=0.1",))
+
+
+def test_a_lost_aircraft_ends_the_flight_with_its_log(cast, plant_link, tmp_path):
+    link = plant_link(2000, lambda tick, action: action * np.array([-1.0 if tick >= 100 else 1.0, 1.0, 1.0]))
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", switch="none")
+    assert flown.outcome is Outcome.LOST
+    assert len(topics(tmp_path / "f.ulg")["cycle"]["tick"]) == flown.summary.cycles < 2000
+
+
+class TwoFlights:
+    """A link whose other side starts again: another flight, or time that goes back."""
+
+    def __init__(self, plant_link, flight):
+        self.make, self.flight = plant_link, flight
+        self.now, self.rest = plant_link(300), [plant_link(200)]
+        self.ended, self.skipped, self.repeated = "", 0, 0
+        self.commands = [[]]
+
+    def read(self, timeout):
+        sample = self.now.read(timeout)
+        if sample is None and self.rest:
+            self.now = self.rest.pop()
+            self.commands.append([])
+            sample = self.now.read(timeout)
+        if sample is None:
+            self.ended = self.now.ended
+            return None
+        return Sample(sample.time_usec, self.flight if len(self.commands) > 1 else 1, sample.x)
+
+    def write(self, action, time_usec):
+        self.commands[-1].append(np.array(action))
+        self.now.write(action, time_usec)
+
+    def say(self, text, severity):
+        pass
+
+    def diagnosis(self):
+        return ""
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("flight", [1, 2])
+def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, flight):
+    link, lines = TwoFlights(plant_link, flight), []
+    first, second = fly(link, cast, tmp_path / "f.ulg", say=lines.append)
+    assert (first.outcome, second.outcome) == (Outcome.REPLACED, Outcome.OVER)
+    assert (first.summary.cycles, second.summary.cycles) == (300, 200)
+    assert second.log == log_path(tmp_path / "f.ulg", 2) == tmp_path / "f.2.ulg"
+    assert len([line for line in lines if "a new flight" in line]) == 1
+    # Nothing of the first flight is left: the second is flown as if it were alone.
+    np.testing.assert_array_equal(link.commands[0][:200], link.commands[1])
+    assert second.summary.updates == 200 - 3
+
+
+def test_a_gap_restarts_the_increments_and_not_the_model(cast, plant_link, tmp_path):
+    class Gap(plant_link):
+        def read(self, timeout):
+            if self.tick == 300:
+                for _ in range(5):
+                    super().write(self.sent[-1], self.tick * 10_000)
+            return super().read(timeout)
+
+    (flown,) = fly(Gap(600), cast, tmp_path / "f.ulg")
+    assert flown.summary.gaps == 1
+    assert flown.summary.health["gap"] == 1
+    assert flown.summary.updates == 595 - 3 - 3
+    ticks = list(topics(tmp_path / "f.ulg")["cycle"]["tick"])
+    assert ticks == [*range(300), *range(305, 600)]
+
+
+def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):
+    live = LiveReference()
+
+    class Told(plant_link):
+        def read(self, timeout):
+            if self.tick == 500:
+                live.set(0.056, 0.15)
+            return super().read(timeout)
+
+    link = Told(1500)
+    fly(link, cast, tmp_path / "f.ulg", reference=live)
+    x = np.array(link.x)
+    assert abs(x[499, STATE.phi]) < 0.02
+    assert x[-1, STATE.phi] == pytest.approx(0.15, abs=0.05)
+
+
+def test_commands_are_within_limits_whatever_the_model_says(cast, plant_link, tmp_path):
+    link = plant_link(1500, weak_elevator)
+    fly(link, cast, tmp_path / "f.ulg", "thesis", ("p0=1e6", "margin=0"))
+    assert np.abs(link.sent).max() <= DEFLECTION_LIMIT
+
+
+def test_a_stop_is_heeded_between_samples(cast, plant_link, tmp_path):
+    link = plant_link(2000)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", stopped=lambda: link.tick >= 100)
+    assert flown.outcome is Outcome.STOPPED
+    assert flown.summary.cycles == 100
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {here!r})
+import conftest
+from runtime.config import resolve
+from runtime.population import load_population
+from runtime.reference import LiveReference
+from runtime.session import Session
+class Slow(conftest.PlantLink):
+    def read(self, timeout):
+        time.sleep(0.002)
+        return super().read(timeout)
+with Session(Slow(10**6), load_population(Path({cast!r})), LiveReference(), resolve(), Path({log!r})) as session:
+    session.fly()
+"""
+
+
+def test_a_log_is_readable_after_kill_9(cast_folder, tmp_path):
+    log = tmp_path / "f.ulg"
+    code = KILLED.format(here=str(Path(__file__).parent), cast=str(cast_folder), log=str(log))
+    process = subprocess.Popen([sys.executable, "-c", code])
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline and (not log.exists() or log.stat().st_size < 40_000):
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    cycle = topics(log)["cycle"]
+    assert len(cycle["tick"]) > 100
+    assert list(cycle["tick"]) == list(range(len(cycle["tick"])))
