@@ -23,10 +23,27 @@ from task.state import ACTION, N_STATE, STATE
 
 FT = 0.3048
 """One foot [m]."""
-ADAMS_BASHFORTH_2 = 3
-"""JSBSim's name for the second-order scheme that integrates rates and positions here."""
 _TURN = 2.0 * math.pi
-_INTEGRATORS = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+_EULER, _ADAMS_BASHFORTH_2, _ADAMS_BASHFORTH_3 = 1, 3, 4
+"""JSBSim's numbers for its integrators."""
+_INTEGRATORS = {
+    # Commands are held over a frame: Euler's scheme integrates their moments exactly, and the moments are
+    # identified for it (sim_bridge.aircraft.targets). Everything smooth is integrated to higher order.
+    "rate/rotational": _EULER,
+    "rate/translational": _ADAMS_BASHFORTH_2,
+    "position/rotational": _ADAMS_BASHFORTH_2,
+    "position/translational": _ADAMS_BASHFORTH_3,
+}
+
+_STEADY = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2", "accelerations/qdot-rad_sec2")
+"""What is zero in a trimmed flight."""
+_TRIM_ROUNDS = 60
+_TRIM_ACCURACY = 1e-9
+"""Largest acceleration left in a trim [ft/s2, rad/s2]."""
+_TRIM_STEPS = np.array([1e-4, 1e-4, 1e-3])
+"""Differences for the slopes: alpha, elevator [rad], speed error [m/s]."""
+_TRIM_STRIDE = np.array([0.05, 0.05, 0.2])
+"""Longest Newton step in each."""
 
 _COMMANDS = {
     ACTION.de: "fcs/elevator-command-rad",
@@ -42,6 +59,8 @@ class Trim(NamedTuple):
     """State, shape (12,), in the order of :class:`task.state.STATE`."""
     action: np.ndarray
     """Deflections that hold it [rad], shape (3,)."""
+    n1: float
+    """Fan speed of the engines [%]."""
     n2: float
     """Core speed of the engines [%]."""
 
@@ -105,6 +124,7 @@ class Plant:
         condition: FlightCondition = NOMINAL,
         x: np.ndarray | None = None,
         action: np.ndarray | None = None,
+        n1: float | None = None,
         n2: float | None = None,
         washout: float = 0.0,
     ) -> np.ndarray:
@@ -112,14 +132,14 @@ class Plant:
 
         condition: where to trim, and the speed that the auto-throttle holds. x (12,): state to start from,
         the trim's when not given; action (3,) [rad]: deflections before the first step, the trim's when not
-        given; n2 [%]: core speed, the trim's when not given; washout [rad/s]: the yaw damper's low-passed
+        given; n1, n2 [%]: fan and core speed, the trim's when not given; washout [rad/s]: the yaw damper's low-passed
         yaw rate. Raises UserError for a condition that the aircraft cannot be trimmed to.
         """
         trim = self._trims.get(condition) or self._find_trim(condition)
         self.condition, self.trim = condition, trim
         start = trim.x if x is None else np.asarray(x, dtype=float)
         deflections = trim.action if action is None else np.asarray(action, dtype=float)
-        self._initialise(start, deflections, condition.speed, trim.n2 if n2 is None else n2, washout)
+        self._initialise(start, deflections, condition.speed, trim.n1 if n1 is None else n1, trim.n2 if n2 is None else n2, washout)
         self._north, self._east = float(start[STATE.xe]), float(start[STATE.ye])
         self._psi = float(start[STATE.psi])
         self._update()
@@ -181,12 +201,12 @@ class Plant:
             self._east + east * FT,
         )
 
-    def _initialise(self, x: np.ndarray, action: np.ndarray, speed: float, n2: float, washout: float) -> None:
+    def _initialise(self, x: np.ndarray, action: np.ndarray, speed: float, n1: float, n2: float, washout: float) -> None:
         fdm = self._fdm
         self.effects.clear()
         fdm.reset_to_initial_conditions(2)  # 2: without running; run_ic alone keeps the integrators' past
-        for name in _INTEGRATORS:
-            fdm[f"simulation/integrator/{name}"] = ADAMS_BASHFORTH_2
+        for name, scheme in _INTEGRATORS.items():
+            fdm[f"simulation/integrator/{name}"] = scheme
         V, alpha, beta = x[STATE.V], x[STATE.alpha], x[STATE.beta]
         fdm["ic/lat-geod-deg"] = 0.0
         fdm["ic/long-gc-deg"] = 0.0
@@ -204,6 +224,7 @@ class Plant:
         self._set_da(float(action[ACTION.da]))
         self._set_dr(float(action[ACTION.dr]))
         fdm["fcs/set-speed-mps"] = speed
+        fdm["propulsion/n1-initial-pct"] = n1
         fdm["propulsion/n2-initial-pct"] = n2
         fdm["fcs/yaw-rate-washout-initial"] = washout
         fdm["fcs/hold-integrators"] = -1.0
@@ -212,36 +233,42 @@ class Plant:
         fdm["fcs/hold-integrators"] = 0.0
 
     def _find_trim(self, condition: FlightCondition) -> Trim:
-        """Return the steady flight of a condition: Newton's method on alpha, elevator and core speed."""
+        """Return the steady flight of a condition: Newton's method on alpha, elevator and throttle.
+
+        The throttle is found as the speed error at which the auto-throttle would ask for it; as in the
+        reference, a flight then starts at the set speed itself, from those engine speeds.
+        """
+        fdm = self._fdm
         x = np.zeros(N_STATE)
         x[STATE.V], x[STATE.h], x[STATE.psi] = condition.speed, condition.altitude, condition.heading
-        unknowns = np.array([math.radians(4.0), math.radians(-2.0), 70.0])
-        steps = np.array([1e-4, 1e-4, 1e-1])
+        engine = (50.0, 60.0)
 
         def accelerations(z: np.ndarray) -> np.ndarray:
-            """Return u and w accelerations [ft/s2] and the pitch acceleration [rad/s2]."""
-            x[STATE.alpha], x[STATE.theta] = z[0], z[0] + condition.flight_path
-            self._initialise(x, np.array([z[1], 0.0, 0.0]), condition.speed, float(z[2]), 0.0)
-            names = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2", "accelerations/qdot-rad_sec2")
-            return np.array([self._fdm[name] for name in names])
+            """Return u and w accelerations [ft/s2] and the pitch acceleration [rad/s2] in steady flight."""
+            nonlocal engine
+            alpha, elevator, speed_error = z.tolist()
+            x[STATE.alpha], x[STATE.theta] = alpha, alpha + condition.flight_path
+            action = np.array([elevator, 0.0, 0.0])
+            self._initialise(x, action, condition.speed - speed_error, *engine, 0.0)
+            engine = (fdm["propulsion/n1-command-pct"], fdm["propulsion/n2-command-pct"])
+            self._initialise(x, action, condition.speed - speed_error, *engine, 0.0)
+            return np.array([fdm[name] for name in _STEADY])
 
-        for _ in range(40):
+        unknowns = np.array([math.radians(4.0), math.radians(-2.0), -1.2])
+        for _ in range(_TRIM_ROUNDS):
             residual = accelerations(unknowns)
-            if np.abs(residual).max() < 1e-9:
+            if np.abs(residual).max() < _TRIM_ACCURACY:
+                x_trim, (n1, n2) = x.copy(), engine
+                trim = Trim(x_trim, np.array([unknowns[1], 0.0, 0.0]), n1, n2)
+                self._trims[condition] = trim
+                return trim
+            slopes = [(accelerations(unknowns + step) - residual) / step.max() for step in np.diag(_TRIM_STEPS)]
+            change, *_ = np.linalg.lstsq(np.stack(slopes, axis=1), -residual, rcond=None)
+            if not np.isfinite(change).all():
                 break
-            jacobian = np.stack([(accelerations(unknowns + h) - residual) / h.max() for h in np.diag(steps)], axis=1)
-            try:
-                change = np.linalg.solve(jacobian, -residual)
-            except np.linalg.LinAlgError:
-                break
-            unknowns = unknowns + change * min(1.0, 0.05 / max(abs(change[0]), abs(change[1]), abs(change[2]) / 400.0))
-        residual = accelerations(unknowns)
-        if not np.abs(residual).max() < 1e-6:
-            raise UserError(
-                f"flight condition altitude {condition.altitude:g} m, speed {condition.speed:g} m/s, flight path "
-                f"{math.degrees(condition.flight_path):g} deg: the aircraft cannot be trimmed there; "
-                "choose a condition within 0..12000 m, 75..170 m/s, -6..6 deg"
-            )
-        trim = Trim(x.copy(), np.array([unknowns[1], 0.0, 0.0]), float(unknowns[2]))
-        self._trims[condition] = trim
-        return trim
+            unknowns = unknowns + change * min(1.0, 1.0 / float(np.abs(change / _TRIM_STRIDE).max() + 1e-12))
+        raise UserError(
+            f"flight condition altitude {condition.altitude:g} m, speed {condition.speed:g} m/s, flight path "
+            f"{math.degrees(condition.flight_path):g} deg: the aircraft cannot be trimmed there; "
+            "stay near the conditions it was identified at: 2000 m and 90 to 150 m/s, 10000 m and 90 m/s"
+        )

@@ -78,7 +78,7 @@ def _quantities(coefficients: Coefficients) -> str:
     return "\n".join(
         _function(variable.property, variable.function, f"{variable.meaning} [{variable.unit}]")
         for name, variable in VARIABLES.items()
-        if name in used and variable.function
+        if name in used and variable.function and not variable.in_flight_control
     )
 
 
@@ -112,20 +112,21 @@ def citation_xml(coefficients: Coefficients) -> str:
         "elevator_max": _number(coefficients.limits.elevator_max),
         "yaw_damper_gain": _number(coefficients.yaw_damper.gain),
         "yaw_damper_rate": _number(1.0 / coefficients.yaw_damper.washout),
-        "n2_gain": _number(engine.n2_gain),
-        "n2_command": _indent(total(engine.n2_command), 4),
-        "n2_rate_up": _indent(table(engine.n2_rate_up), 6),
-        "n2_rate_down": _indent(table(engine.n2_rate_down), 5),
-        "n1": _indent(total(engine.n1), 4),
         "quantities": _indent(_quantities(coefficients), 2),
         "coefficients": _indent(_coefficient_functions(coefficients), 2),
         "ice_slope": _number(coefficients.icing.lift_slope),
         "ice_slope_knee": _number(coefficients.icing.lift_slope_knee),
         "ice_knee": _number(coefficients.icing.knee),
         "ice_pitching": _number(coefficients.icing.pitching_moment),
-        "set_speed_offset": _indent(VARIABLES["set_speed_offset"].function, 4),
-        "altitude_offset": _indent(VARIABLES["altitude_offset"].function, 4),
+        "set_speed_offset": _indent(VARIABLES["set_speed_offset"].function, 5),
+        "altitude_offset": _indent(VARIABLES["altitude_offset"].function, 5),
+        "mach_offset": _indent(VARIABLES["mach_offset"].function, 5),
     }
+    for name, spool in (("n1", engine.n1), ("n2", engine.n2)):
+        fields[f"{name}_gain"] = _number(spool.gain)
+        fields[f"{name}_command"] = _indent(total(spool.command), 5)
+        fields[f"{name}_rate_down"] = _indent(total(spool.rate_down), 6)
+        fields[f"{name}_rate_up"] = _indent(total(spool.rate_up), 7)
     return Template(TEMPLATE.read_text()).substitute(fields)
 
 

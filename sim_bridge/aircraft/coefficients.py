@@ -58,19 +58,26 @@ class Body(Settings, frozen=True):
     """Product of inertia, positive as in sum(m x z) [kg m2]."""
 
 
+class Spool(Settings, frozen=True):
+    """One shaft of the engines: dN/dt = max(down, min(up, gain * (command - N)))."""
+
+    command: list[Term]
+    """Speed that the auto-throttle asks for [%]."""
+    gain: float
+    """Rate of the speed per difference to the commanded one [1/s]."""
+    rate_up: list[Term]
+    """Fastest acceleration [%/s]."""
+    rate_down: list[Term]
+    """Fastest deceleration, negative [%/s]."""
+
+
 class Engine(Settings, frozen=True):
     """The reference's hidden auto-throttle and its engines' speeds."""
 
-    n2_command: list[Term]
-    """Core speed that the auto-throttle asks for [%]."""
-    n2_gain: float
-    """Rate of the core speed per difference to the commanded one [1/s]."""
-    n2_rate_up: Term
-    """Fastest acceleration of the core [%/s]."""
-    n2_rate_down: Term
-    """Fastest deceleration of the core, negative [%/s]."""
-    n1: list[Term]
-    """Fan speed [%] from core speed, Mach number and altitude."""
+    n1: Spool
+    """Fan."""
+    n2: Spool
+    """Core."""
 
 
 class YawDamper(Settings, frozen=True):

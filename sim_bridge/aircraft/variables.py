@@ -27,6 +27,8 @@ class Variable(NamedTuple):
     """JSBSim property that holds it."""
     function: str = ""
     """Body of the JSBSim function that computes it; empty when JSBSim has the property itself."""
+    in_flight_control: bool = False
+    """Computed with the engine, in the flight control section, which JSBSim runs before the aerodynamics."""
 
 
 def _difference(name: str, value: float) -> str:
@@ -64,12 +66,14 @@ VARIABLES: dict[str, Variable] = {
         f"Mach number less {MACH_REFERENCE}",
         "aero/mach-offset",
         _difference("velocities/mach", MACH_REFERENCE),
+        True,
     ),
     "altitude_offset": Variable(
         "10 km",
         f"altitude less {ALTITUDE_REFERENCE:g} m, in units of 10 km",
         "aero/altitude-offset-10km",
         f"<quotient>{_difference('position/h-sl-meters', ALTITUDE_REFERENCE)}<value>10000</value></quotient>",
+        True,
     ),
     "n1_corrected": Variable(
         "%",
@@ -91,6 +95,7 @@ VARIABLES: dict[str, Variable] = {
         "set speed less 90 m/s, in units of 60 m/s",
         "fcs/set-speed-offset",
         f"<quotient>{_difference('fcs/set-speed-mps', 90.0)}<value>60</value></quotient>",
+        True,
     ),
 }
 """Every name that a term may use."""
