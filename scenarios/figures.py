@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from scenarios.score import Score
 from scenarios.trace import AdaptationTrace, FlightTrace
 from task.limits import DEFLECTION_LIMIT
-from task.state import ACTION, REFERENCE, TRACKED
+from task.model import DYNAMIC
+from task.state import ACTION, REFERENCE, STATE, TRACKED
 
 INK, GREY, FAINT = "#1b1b1b", "#767676", "#d9d9d9"
 FAULT = "#CC79A7"
@@ -310,7 +311,8 @@ def _innovations(ax: Axes, adaptation: AdaptationTrace, width: float = 0.25) -> 
     rms = np.sqrt(squares)
     centre = time[:usable].reshape(-1, block).mean(axis=1)
     median = np.median(rms, axis=0)
+    shown = {STATE(i).name: tone for i, tone in zip(DYNAMIC, CAST_COLOURS, strict=False)}
     for i, name in enumerate(adaptation.innovation_names):
-        if median[i] > 0.0:
-            ax.semilogy(centre, rms[:, i] / median[i], lw=0.9, color=CAST_COLOURS[i], label=SYMBOLS.get(name, name))
+        if name in shown and median[i] > 0.0:
+            ax.semilogy(centre, rms[:, i] / median[i], lw=0.9, color=shown[name], label=SYMBOLS.get(name, name))
     ax.legend(loc="upper right", ncols=6, borderaxespad=0.1, columnspacing=1.0)

@@ -1,0 +1,142 @@
+"""``understudy fly`` and ``understudy results``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+import click
+import msgspec
+from rich.console import Console
+
+from scenarios import schema
+from scenarios.processes import StoppedError
+from scenarios.references import build, with_count
+from scenarios.report import scores_by_mode, write_report
+from scenarios.run import Result, find_population, fly_all, plan
+from scenarios.screen import Board, print_table
+from scenarios.summary import summarise
+from task.errors import UserError
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+
+def console() -> Console:
+    """Return the terminal; where there is none, lines wide enough for the table."""
+    screen = Console(highlight=False)
+    return screen if screen.is_terminal else Console(highlight=False, width=160)
+
+
+def chosen_modes(text: str | None, default: Sequence[str]) -> list[schema.Mode]:
+    """Return the modes of a comma-separated list, or the default ones. Raises UserError."""
+    names = [name.strip() for name in text.split(",")] if text else list(default)
+    for name in names:
+        if name not in schema.MODES:
+            raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {', '.join(schema.MODES)}")
+    return [schema.MODES[name] for name in dict.fromkeys(names)]
+
+
+def default_jobs(realtime: bool) -> int:
+    """Return how many flights go side by side: a core each, two at most; in real time one."""
+    return 1 if realtime else min(2, os.cpu_count() or 1)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def fly_scenario(
+    scenario: schema.Scenario,
+    folder: Path,
+    modes: Sequence[schema.Mode],
+    population: str | Path,
+    out: Path,
+    realtime: bool = False,
+    jobs: int | None = None,
+    fresh: bool = False,
+    screen: Console | None = None,
+) -> list[Result]:
+    """Fly a scenario in ``modes`` and return the results; progress goes to ``screen``.
+
+    ``folder`` is where a relative reference file lies. Raises UserError, and KeyboardInterrupt after Ctrl-C or SIGTERM
+    with every process ended.
+    """
+    cast = find_population(population)
+    flights = plan(scenario.flight, build(scenario, folder), modes, cast, out, realtime)
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with Board(screen or console(), len(flights)) as board:
+            return fly_all(flights, jobs or default_jobs(realtime), fresh, board)
+    except StoppedError:
+        raise KeyboardInterrupt from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    """Print the scenarios and leave."""
+    if not value or ctx.resilient_parsing:
+        return
+    for name, path in schema.available().items():
+        click.echo(f"{name:<20} {schema.load_scenario(path).title}")
+    ctx.exit()
+
+
+@click.command()
+@click.argument("scenario")
+@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the scenarios.")
+@click.option("--modes", help="Comma-separated, of: " + ", ".join(schema.MODES) + ".  [default: the scenario's]")
+@click.option("--references", "count", type=click.IntRange(min=1, max=1000),
+              help="Fly this many random references instead of the scenario's.")  # fmt: skip
+@click.option("--population", help="Folder of the cast, or its name under populations/.  [default: the scenario's]")
+@click.option("--out", type=Path, help="Where flights and report go.  [default: flights/SCENARIO]")
+@click.option("--realtime", is_flag=True, help="100 Hz of wall clock; without it, lockstep.")
+@click.option("--jobs", type=click.IntRange(min=1, max=64),
+              help="Flights side by side.  [default: 2; in real time 1]")  # fmt: skip
+@click.option("--fresh", is_flag=True, help="Fly everything again, also what was flown before from the same inputs.")
+def fly(
+    scenario: str,
+    modes: str | None,
+    count: int | None,
+    population: str | None,
+    out: Path | None,
+    realtime: bool,
+    jobs: int | None,
+    fresh: bool,
+) -> None:
+    """Fly SCENARIO, a file or a name from --list, over MAVLink in several modes; print a table, write a report."""
+    began = time.monotonic()
+    path = schema.find(scenario)
+    script = schema.load_scenario(path)
+    if count is not None:
+        script = msgspec.structs.replace(script, references=with_count(script.references, count))
+    chosen = chosen_modes(modes, script.modes)
+    where = out or Path("flights") / path.stem
+    screen = console()
+    screen.print(f"[bold]{script.title}[/]")
+    try:
+        results = fly_scenario(
+            script, path.parent, chosen, population or script.population, where, realtime, jobs, fresh, screen
+        )
+    except KeyboardInterrupt:
+        click.echo(f"understudy: stopped; what was flown is kept in {where}", err=True)
+        raise SystemExit(INTERRUPTED) from None
+    print_table(screen, script.title, summarise(scores_by_mode(results)))
+    report = write_report(script, results, where)
+    screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {report}")
+
+
+@click.command()
+@click.option("--folder", type=Path, default=Path("results"), show_default=True, help="Where the figures are.")
+@click.option("--out", type=Path, default=Path("docs/results.md"), show_default=True, help="Where the page goes.")
+def results(folder: Path, out: Path) -> None:
+    """Render docs/results.md from results/*.json."""
+    from scenarios.results_page import write_page
+
+    count = write_page(folder, out)
+    click.echo(f"{out}: {count} results")
