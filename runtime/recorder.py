@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from pathlib import Path
 
 import msgspec
@@ -12,6 +14,7 @@ from runtime.link import Severity
 from runtime.switching import Decision
 from runtime.ulog import ULog
 from task.config import to_json
+from task.errors import UserError
 from task.state import ACTION, REFERENCE, STATE
 
 
@@ -78,6 +81,17 @@ def beside(log: Path, what: str) -> Path:
     return log.with_suffix(f".{what}.json")
 
 
+def check_writable(log: Path) -> None:
+    """Make the log's folder; raise UserError when no log can be written there."""
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        writable = os.access(log if log.exists() else log.parent, os.W_OK) and not log.is_dir()
+    except OSError:
+        writable = False
+    if not writable:
+        raise UserError(f"--log {log}: cannot be written; choose another file or folder")
+
+
 class Recorder:
     """Writes one flight; topics and fields as in docs/operations.md."""
 
@@ -128,7 +142,12 @@ class Recorder:
         self._log.begin()
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
-        beside(path, "config").write_bytes(to_json(configuration))
+        self._write_beside("config", configuration)
+
+    def _write_beside(self, what: str, value: object) -> None:
+        """Write a file that accompanies the log; a disk that is full takes nothing but the file."""
+        with contextlib.suppress(OSError):
+            beside(self.path, what).write_bytes(to_json(value))
 
     def _parameters(self, tree: dict[str, object], prefix: str = "") -> None:
         """Write the configuration: numbers as parameters, words as information."""
@@ -141,11 +160,6 @@ class Recorder:
                 self._log.parameter(prefix + key, value)
             else:
                 self._log.info(prefix + key, str(value))
-
-    @property
-    def error(self) -> str:
-        """Why the log ended early; empty while it goes on."""
-        return self._log.error
 
     def cycle(
         self,
@@ -186,4 +200,4 @@ class Recorder:
         """Close the log and write the summary beside it."""
         self._log.close()
         summary.log_error = self._log.error
-        beside(self.path, "summary").write_bytes(to_json(summary))
+        self._write_beside("summary", summary)

@@ -18,7 +18,7 @@ from runtime.link import Link, Sample, Severity
 from runtime.loop import Loop, Outcome
 from runtime.plays import Plays
 from runtime.population import BehaviouralPolicy, Population
-from runtime.recorder import Recorder, Summary, percentiles
+from runtime.recorder import Recorder, Summary, check_writable, percentiles
 from runtime.reference import Reference
 from runtime.switching import Cast
 from task.errors import UserError
@@ -56,6 +56,7 @@ class Session:
         information: dict[str, str] | None = None,
     ) -> None:
         adaptation, operation = configuration.adaptation, configuration.operation
+        check_writable(log)
         self._link, self._population, self._reference = link, population, reference
         self._configuration, self._log = configuration, log
         self._say, self._stopped = say, stopped

@@ -9,10 +9,8 @@ from __future__ import annotations
 import queue
 import struct
 import threading
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
-
-from task.errors import UserError
 
 _MAGIC = b"ULog\x01\x12\x35\x01"
 _CODES = {
@@ -49,18 +47,18 @@ class Topic:
 class ULog:
     """A log being written. Order: information, parameters and topics, then :meth:`begin`, then records and messages.
 
-    ``threaded`` hands blocks to a thread, so that a slow disk cannot hold the caller up. After an error of the disk
-    nothing more is written, and ``error`` says why; nothing raises.
+    ``threaded`` hands blocks to a thread, so that a slow disk cannot hold the caller up. After an error of the disk,
+    from the first byte on, nothing more is written, and ``error`` says why; nothing raises.
     """
 
     def __init__(self, path: Path, threaded: bool = False) -> None:
         self.path = path
         self.error = ""
+        self._file: FileIO | None = None
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO = path.open("wb", buffering=0)
+            self._file = FileIO(path, "w")
         except OSError as error:
-            raise UserError(f"{path}: cannot write the log: {error.strerror}; choose another --log") from None
+            self.error = f"{path}: cannot write the log: {error.strerror}"
         self._topics: list[Topic] = []
         self._block = bytearray(_MAGIC + bytes(8))
         self._message(b"B", bytes(40))
@@ -118,7 +116,7 @@ class ULog:
     def _write(self, block: bytes | bytearray) -> None:
         view = memoryview(block)
         try:
-            while view and not self.error:
+            while view and self._file is not None and not self.error:
                 view = view[self._file.write(view) or 0 :]
         except OSError as error:
             self.error = f"{self.path}: the log ends here: {error.strerror}"
@@ -133,4 +131,5 @@ class ULog:
         if self._thread is not None:
             self._blocks.put(None)
             self._thread.join()
-        self._file.close()
+        if self._file is not None:
+            self._file.close()

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from pyulog import ULog as Reader
+
+from runtime.config import resolve
+from runtime.recorder import Recorder, Summary, beside, check_writable, percentiles
+from runtime.ulog import ULog
+from task.errors import UserError
+from task.state import STATE
+
+
+def write(path, threaded=False):
+    log = ULog(path, threaded)
+    log.info("name", "Understudy, ünïcode")
+    log.parameter("whole", 3)
+    log.parameter("part", 0.5)
+    numbers = log.topic("numbers", [("double", "d"), ("float[3]", "f"), ("int16_t", "i"), ("uint8_t", "b")])
+    other = log.topic("other", [("uint32_t", "u")])
+    log.begin()
+    for k in range(100):
+        log.write(numbers, 1000 * k, 1e-12 * k, 0.5 * k, -0.5 * k, np.nan, -k, k)
+        if k % 10 == 0:
+            log.write(other, 1000 * k, 2**32 - 1)
+            log.message(1000 * k, 4, f"line {k}")
+            log.flush()
+    log.close()
+    return path
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_pyulog_reads_what_was_written(tmp_path, threaded):
+    log = Reader(str(write(tmp_path / "a.ulg", threaded)))
+    data = {topic.name: topic.data for topic in log.data_list}
+    assert list(data["numbers"]["timestamp"]) == [1000 * k for k in range(100)]
+    np.testing.assert_array_equal(data["numbers"]["d"], 1e-12 * np.arange(100))
+    np.testing.assert_array_equal(data["numbers"]["f[1]"], -0.5 * np.arange(100))
+    assert np.isnan(data["numbers"]["f[2]"]).all()
+    np.testing.assert_array_equal(data["numbers"]["i"], -np.arange(100))
+    assert list(data["other"]["u"]) == [2**32 - 1] * 10
+    assert log.initial_parameters == {"whole": 3, "part": 0.5}
+    assert log.msg_info_dict["name"] == "Understudy, ünïcode"
+    assert [(m.log_level_str(), m.message) for m in log.logged_messages][3] == ("WARNING", "line 30")
+
+
+def test_the_bytes_depend_on_what_is_written_alone(tmp_path):
+    assert write(tmp_path / "a.ulg").read_bytes() == write(tmp_path / "b.ulg", True).read_bytes()
+
+
+@pytest.mark.parametrize("cut", [0.4, 0.7, 0.9])
+def test_a_log_that_was_cut_off_is_readable(tmp_path, cut):
+    whole = write(tmp_path / "a.ulg").read_bytes()
+    (tmp_path / "b.ulg").write_bytes(whole[: int(cut * len(whole))])
+    assert len(Reader(str(tmp_path / "b.ulg")).data_list[0].data["timestamp"]) > 10
+
+
+def test_a_disk_that_takes_nothing_stops_the_log_and_not_the_flight():
+    log = ULog("/dev/full")
+    topic = log.topic("t", [("float", "f")])
+    log.begin()
+    for k in range(1000):
+        log.write(topic, k, 1.0)
+    log.close()
+    assert "the log ends here: No space left" in log.error
+
+
+def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
+    for path in (tmp_path, tmp_path / "file" / "f.ulg"):
+        (tmp_path / "file").touch()
+        with pytest.raises(UserError, match="cannot be written"):
+            check_writable(path)
+    check_writable(tmp_path / "new" / "f.ulg")
+
+
+def test_percentiles_of_nothing_are_nothing():
+    assert percentiles(np.array([])) is None
+    assert percentiles(np.arange(101.0)).p50 == 50.0
+
+
+def test_configuration_and_summary_lie_beside_the_log(tmp_path):
+    path = tmp_path / "flight.ulg"
+    recorder = Recorder(path, resolve("thesis"), "cast", ["a", "b"], tuple(STATE)[:10], {})
+    recorder.innovation(0, np.zeros(10), 1.0)
+    summary = Summary(
+        outcome="over", seconds=1.0, wall_seconds=1.0, cycles=0, overruns=0, missed=0, skipped=0, repeated=0, gaps=0,
+        plays=0, plays_skipped=0, plays_failed=0, switches=0, health={}, updates=0, updates_skipped=0, restarts=0,
+        cycle_us=None, imagination_ms=None,
+    )  # fmt: skip
+    recorder.close(summary)
+    assert beside(path, "config") == tmp_path / "flight.config.json"
+    assert '"preset": "thesis"' in beside(path, "config").read_text()
+    assert '"outcome": "over"' in beside(path, "summary").read_text()
+    assert next(iter(Reader(str(path)).data_list)).name == "innovation"
