@@ -13,10 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Patch
 
 from scenarios.score import Score
 from scenarios.trace import AdaptationTrace, FlightTrace
-from task.limits import DEFLECTION_LIMIT
+from task.limits import DEFLECTION_LIMIT, DT
 from task.model import DYNAMIC
 from task.state import ACTION, REFERENCE, STATE, TRACKED
 
@@ -146,8 +148,8 @@ def _deflection(ax: Axes, flown: Flown, axis: ACTION) -> None:
     """Draw one command and the deflection that it became [deg]."""
     flight = flown.flight
     command, surface = np.degrees(flight.command[:, axis]), np.degrees(flight.surfaces[:, axis])
+    ax.plot(flight.time, surface, color="#bdbdbd", lw=3.0, label="true deflection")
     ax.plot(flight.time, command, color=colour(flown.mode), lw=1.1, label="command")
-    ax.plot(flight.time, surface, color=INK, lw=0.7, alpha=0.85, label="true deflection")
     ax.set_ylabel(f"{SYMBOLS[axis.name]} [deg]")
     limit = float(np.degrees(DEFLECTION_LIMIT))
     for bound in (-limit, limit):
@@ -165,6 +167,11 @@ def _cast_strip(ax: Axes, adaptation: AdaptationTrace, tones: dict[int, str]) ->
         ax.axvspan(time[start], time[stop - 1], 0.0, 0.055, color=tones[int(active[start])], lw=0, zorder=5)
 
 
+def _full_time(ax: Axes, flight: FlightTrace) -> None:
+    """Show the whole planned flight, also when it ended early."""
+    ax.set_xlim(0.0, flight.planned_samples * DT)
+
+
 def cast_colours(flown: Sequence[Flown]) -> dict[int, str]:
     """Return a colour for each member that flew in any of the flights; the first ever to fly comes first."""
     order: dict[int, None] = {}
@@ -179,7 +186,7 @@ def cast_colours(flown: Sequence[Flown]) -> dict[int, str]:
 def _figure(rows: int, columns: int, size: tuple[float, float], **grid: Any) -> tuple[Figure, np.ndarray]:
     """Return a figure and its axes in our style; no global state is left behind."""
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.03, hspace=0.0, w_pad=0.05))
         axes = figure.subplots(rows, columns, squeeze=False, **grid)
     return figure, axes
 
@@ -208,13 +215,23 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
         _shared_limits(axes, flown)
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
+            _full_time(ax, flown[0].flight)
         handles, labels = axes[0, 2].get_legend_handles_labels()
         reference = axes[0, 0].get_legend_handles_labels()[0][0]
-        figure.legend(
-            [reference, *handles], ["reference", *labels], loc="outside upper right", ncols=3,
-        )  # fmt: skip
+        figure.legend([reference, *handles], ["reference", *labels], loc="outside upper right", ncols=3)
+        _cast_legend(figure, flown[0].adaptation.members, tones)
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
     return figure
+
+
+def _cast_legend(figure: Figure, members: Sequence[str], tones: dict[int, str]) -> None:
+    """Say which colour of the strips is which member."""
+    patches = [Patch(color=tone, label=members[member]) for member, tone in tones.items()]
+    legend = figure.legend(
+        handles=patches, loc="outside lower left", ncols=min(len(patches), 9), handlelength=1.0, handleheight=0.7,
+        columnspacing=1.2, title="strip: who flies      ▼ change of the cast", title_fontsize=8, alignment="left",
+    )  # fmt: skip
+    legend.set_in_layout(True)
 
 
 def _shared_limits(axes: np.ndarray, flown: Sequence[Flown]) -> None:
@@ -224,6 +241,8 @@ def _shared_limits(axes: np.ndarray, flown: Sequence[Flown]) -> None:
         values = [np.degrees(f.flight.x[:, TRACKED[channel]]) for f in kept]
         values += [np.degrees(f.flight.reference[:, channel]) for f in kept]
         _limit(axes[0, column], np.concatenate(values), least=2.0)
+    low, high = axes[0, 0].get_ylim()
+    axes[0, 0].set_ylim(low - 0.08 * (high - low), high)  # room for the strip
     values = [np.degrees(f.flight.command[:, ACTION.de]) for f in kept]
     _limit(axes[0, 2], np.concatenate(values), least=2.0)
 
@@ -231,7 +250,7 @@ def _shared_limits(axes: np.ndarray, flown: Sequence[Flown]) -> None:
 def detail(flown: Flown, title: str) -> Figure:
     """Return one flight in full: tracking and surfaces on the left, what the runtime thought on the right."""
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
-        figure, _ = _figure(1, 1, (13.0, 8.6))
+        figure, _ = _figure(1, 1, (13.0, 8.2))
         figure.clear()
         grid = figure.add_gridspec(6, 2, width_ratios=[1.0, 1.0])
         first = figure.add_subplot(grid[0, 0])
@@ -253,6 +272,7 @@ def detail(flown: Flown, title: str) -> Figure:
         _mark_loss(first, flown.score)
         for ax in (left[-1], right[-1]):
             ax.set_xlabel("time [s]")
+        _full_time(first, flown.flight)
         first.set_title("Tracking", pad=8)
         left[3].set_title("Commands and surfaces")
         left[3].legend(loc="upper right", ncols=2, borderaxespad=0.1, bbox_to_anchor=(1.0, 1.3))
@@ -295,13 +315,13 @@ def _returns(ax: Axes, adaptation: AdaptationTrace) -> None:
         floor = min(float(np.percentile(finite, 40)), float(incumbent[np.isfinite(incumbent)].min(initial=0.0)))
         floor = max(floor, 12.0 * float(np.median(cast.max(axis=1))))
         ax.set_ylim(1.1 * min(floor, -1.0), 0.0)
-    ax.legend(loc="lower right", ncols=3, borderaxespad=0.1)
+    ax.legend(loc="upper right", ncols=3, borderaxespad=0.1, bbox_to_anchor=(1.0, 1.14))
 
 
 def _innovations(ax: Axes, adaptation: AdaptationTrace, width: float = 0.25) -> None:
     """Draw the size of the model's one-step surprise: RMS over ``width`` seconds, over its own median."""
-    ax.set_title("Innovation  (RMS over 0.25 s, relative to its median)")
-    ax.set_ylabel("surprise [-]")
+    ax.set_title("Innovation  (RMS over 0.25 s over its median)")
+    ax.set_ylabel("innovation [-]")
     time, innovation = adaptation.time, adaptation.innovation
     if time.size < 2 or not innovation.size:
         return
@@ -315,4 +335,4 @@ def _innovations(ax: Axes, adaptation: AdaptationTrace, width: float = 0.25) -> 
     for i, name in enumerate(adaptation.innovation_names):
         if name in shown and median[i] > 0.0:
             ax.semilogy(centre, rms[:, i] / median[i], lw=0.9, color=shown[name], label=SYMBOLS.get(name, name))
-    ax.legend(loc="upper right", ncols=6, borderaxespad=0.1, columnspacing=1.0)
+    ax.legend(loc="upper right", ncols=6, borderaxespad=0.1, columnspacing=1.0, bbox_to_anchor=(1.0, 1.14))

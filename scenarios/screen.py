@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from types import TracebackType
 
@@ -21,6 +22,7 @@ class Board:
     def __init__(self, console: Console, flights: int) -> None:
         self._console = console
         self._count = 0
+        self._lock = threading.Lock()
         self._flights = flights
         self._tasks: dict[str, TaskID] = {}
         self._progress = Progress(
@@ -53,13 +55,14 @@ class Board:
         if task is not None:
             self._progress.remove_task(task)
         self._progress.advance(self._all)
-        self._count += 1
         score = result.score
         how = "flown before" if result.reused else f"{result.seconds:.1f} s"
         ended = f"nMAE {score.nmae:6.2f} %" if score.survived else f"lost at {score.lost_at:.1f} s"
-        self._console.print(
-            f"[dim]{self._count:>3}/{self._flights}[/]  {job.name:<32} {ended:<18} [dim]{how}[/]", highlight=False
-        )
+        with self._lock:
+            self._count += 1
+            self._console.print(
+                f"[dim]{self._count:>3}/{self._flights}[/]  {job.name:<32} {ended:<18} [dim]{how}[/]", highlight=False
+            )
 
 
 def print_table(console: Console, title: str, rows: Sequence[Row]) -> None:

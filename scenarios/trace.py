@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -113,8 +111,7 @@ def read_log(path: Path) -> AdaptationTrace:
     if not path.is_file():
         raise UserError(f"{path}: no flight log; the runtime did not fly; fly it again")
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it thinks of a file
-            log = ULog(str(path))
+        log = ULog(str(path))
         topics = {data.name: data.data for data in log.data_list}
         cycle, innovation = topics["cycle"], topics["innovation"]
         members = log.msg_info_dict["members"].split(",")
