@@ -13,11 +13,13 @@ import pytest
 from pyulog import ULog
 
 from runtime.config import resolve
+from runtime.identification import IncrementalModel
 from runtime.link import Sample
 from runtime.loop import Outcome
 from runtime.population import load_population
 from runtime.reference import LiveReference, RecordedReference
 from runtime.session import Session, log_path
+from sim_bridge.plant import Plant
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT
 from task.reference import base_reference
@@ -250,6 +252,7 @@ from pathlib import Path
 sys.path.insert(0, {here!r})
 import conftest
 from runtime.config import resolve
+from runtime.identification import IncrementalModel
 from runtime.population import load_population
 from runtime.reference import LiveReference
 from runtime.session import Session
@@ -274,3 +277,23 @@ def test_a_log_is_readable_after_kill_9(cast_folder, tmp_path):
     cycle = topics(log)["cycle"]
     assert len(cycle["tick"]) > 100
     assert list(cycle["tick"]) == list(range(len(cycle["tick"])))
+
+
+def test_the_plant_s_command_lag_is_the_one_that_the_model_carries(cast):
+    """With the stated lag the model foresees the pitch rate far better than with any other."""
+    rng = np.random.default_rng(0)
+    plant = Plant()
+    models = [IncrementalModel(resolve("understudy", None, ("prior=none",)).adaptation, lag) for lag in range(4)]
+    squares = np.zeros(len(models))
+    action = plant.trim.action.copy()
+    for k in range(600):
+        if k % 7 == 0:
+            action = plant.trim.action + np.array([0.01, 0.01, 0.01]) * rng.normal(size=3)
+        for i, model in enumerate(models):
+            model.observe(plant.x)
+            model.command(action)
+            if k > 300:
+                squares[i] += model.rls.innovation[STATE.q] ** 2
+        plant.step(action)
+    assert int(np.argmin(squares)) == cast.command_lag
+    assert squares[cast.command_lag] < 0.05 * np.delete(squares, cast.command_lag).min()
