@@ -41,10 +41,10 @@ def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
 def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read a checkpoint; raise UserError when it is not one."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = msgspec.json.decode(arrays.pop(META).tobytes())
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.DecodeError) as error:
+    except (OSError, ValueError, AttributeError, KeyError, EOFError, zipfile.BadZipFile, msgspec.DecodeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(f"{path}: not a checkpoint of a training run: {reason}; start afresh with --fresh") from None
     return {name: torch.from_numpy(array) for name, array in arrays.items()}, meta
@@ -55,12 +55,13 @@ def part(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:
     return {k.removeprefix(f"{name}."): v for k, v in tensors.items() if k.startswith(f"{name}.")}
 
 
-def require_same(path: Path, saved: dict[str, Any], wanted: dict[str, Any]) -> None:
+def require_same(path: Path, saved: dict[str, Any], config: object) -> None:
     """Raise UserError, naming the first difference, unless a checkpoint was made with this configuration.
 
     How long to train and how often to save may change between two starts of one run.
     """
     free = ("frames", "checkpoint_seconds")
+    wanted = msgspec.json.decode(msgspec.json.encode(config))
     for key in wanted:
         old, new = saved.get(key), wanted[key]
         if key not in free and old != new:

@@ -172,7 +172,7 @@ def _activate(z: Tensor, activation: str, leaky_slope: float) -> Tensor:
 def _activation_gradient(grad: Tensor, h: Tensor, activation: str, leaky_slope: float) -> Tensor:
     """Return d loss / d z from d loss / d h and h, the activation's output."""
     if activation == "tanh":
-        return torch.addcmul(grad, grad * h, h, value=-1.0)
+        return torch.ops.aten.tanh_backward(grad, h)
     if activation == "relu":
         return grad * (h > 0.0)
     if activation == "leaky_relu":

@@ -181,7 +181,7 @@ class Trainer:
     def resume(cls, path: Path, config: TrainingConfig, device: torch.device) -> Trainer:
         """Continue a run; raise UserError when the checkpoint is of another configuration."""
         tensors, meta = checkpoint.load(path)
-        checkpoint.require_same(path, meta["config"], msgspec.to_builtins(config))
+        checkpoint.require_same(path, meta["config"], config)
         trainer = cls(config, device)
         trainer.population.restore(checkpoint.part(tensors, "population"))
         trainer.learner.restore(checkpoint.part(tensors, "learner"))
