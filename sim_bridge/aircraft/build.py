@@ -14,6 +14,8 @@ ROOT = Path(__file__).parent / "model"
 TEMPLATE = Path(__file__).parent / "citation.template.xml"
 """Everything about the model that is not a number from the identification."""
 PLANET = ROOT / "flat_earth.xml"
+REST = ROOT / "rest.xml"
+"""Initial conditions at rest."""
 BALLAST = 0.9
 """Share of the mass that is movable, to shift the centre of gravity."""
 THRUST_PREFIX = "thrust"

@@ -53,13 +53,8 @@ def design(unknowns: list[Unknown], data: dict[str, np.ndarray]) -> np.ndarray:
 
 def factor_power(unknowns: list[Unknown], data: dict[str, np.ndarray]) -> np.ndarray:
     """Return the sum over samples of each term's squared product of factors, shape (terms,)."""
-    count = len(next(iter(data.values())))
-    return np.array(
-        [
-            float((np.prod([data[name] for name in item.term.factors], axis=0) ** 2).sum()) if item.term.factors else count
-            for item in unknowns
-        ]
-    )
+    ones = np.ones(len(next(iter(data.values()))))
+    return np.array([float((np.prod([ones, *(data[n] for n in u.term.factors)], axis=0) ** 2).sum()) for u in unknowns])
 
 
 @dataclass
@@ -157,7 +152,5 @@ def solve(unknowns: list[Unknown], equations: NormalEquations, penalty: float) -
         if item.zero_at is not None:
             entries = np.insert(entries, item.zero_at, 0.0)
         start += item.size
-        terms.append(
-            Term(name=item.term.name, values=entries.tolist(), axes=item.term.axes, factors=item.term.factors)
-        )
+        terms.append(Term(name=item.term.name, values=entries.tolist(), axes=item.term.axes, factors=item.term.factors))
     return terms

@@ -66,7 +66,9 @@ def aerodynamics() -> dict[str, list[Unknown]]:
             unknown("aileron_squared", factors=("aileron", "aileron")),
             unknown("sideslip_squared", factors=("beta", "beta")),
             unknown("sideslip_rudder", factors=("beta", "rudder")),
-            unknown("thrust", {"n1_corrected": N1_FINE}, (PRESSURE,), prior=NO_THRUST_AT_30, smoothness=THRUST_SMOOTHNESS),
+            unknown(
+                "thrust", {"n1_corrected": N1_FINE}, (PRESSURE,), prior=NO_THRUST_AT_30, smoothness=THRUST_SMOOTHNESS
+            ),
             unknown(
                 "thrust_mach",
                 {"n1_corrected": N1},
