@@ -68,10 +68,14 @@ class Process:
         """Exit code, or None while it runs."""
         return self._process.poll()
 
-    def end(self) -> None:
-        """Ask it to end, and insist after a while."""
+    def ask(self) -> None:
+        """Ask it to end."""
         if self.code is None:
             self._process.terminate()
+
+    def end(self) -> None:
+        """Ask it to end, and insist after a while."""
+        self.ask()
         try:
             self._process.wait(GRACE)
         except subprocess.TimeoutExpired:
@@ -117,6 +121,8 @@ def supervise(
                 raise UserError(f"the flight stood still for {STALL:g} s and was ended; see {bridge.said}")
         _raise_failure(pair)
     finally:
+        for process in pair:
+            process.ask()
         for process in pair:
             process.end()
 

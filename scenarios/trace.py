@@ -111,7 +111,8 @@ def read_log(path: Path) -> AdaptationTrace:
     if not path.is_file():
         raise UserError(f"{path}: no flight log; the runtime did not fly; fly it again")
     try:
-        log = ULog(str(path))
+        with path.open("rb") as file:
+            log = ULog(file)
         topics = {data.name: data.data for data in log.data_list}
         cycle, innovation = topics["cycle"], topics["innovation"]
         members = log.msg_info_dict["members"].split(",")

@@ -1,0 +1,94 @@
+"""The report: one page that needs nothing else, the same bytes for the same flights."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+
+from scenarios.report import scores_by_mode, write_report
+from scenarios.results_page import number, write_page
+from scenarios.run import Result
+from scenarios.schema import Scenario
+from scenarios.screen import print_table
+from scenarios.summary import summarise
+from task.errors import UserError
+from task.results import Claim, Table, write
+from task.results import Result as Measured
+
+
+@pytest.fixture
+def flights(make_result: Callable[..., Result]) -> list[Result]:
+    return [
+        make_result(mode, reference, lost)
+        for mode, lost in (("none", 7.0), ("understudy-soft", None))
+        for reference in ("evaluation-1", "evaluation-2")
+    ]
+
+
+def test_the_page_is_whole_and_the_same_twice(flights: list[Result], tmp_path: Path) -> None:
+    scenario = Scenario(title="Wings & <ice>", description="What is to be seen.")
+    page = write_report(scenario, flights, tmp_path / "a")
+    text = page.read_text()
+    assert text == write_report(scenario, flights, tmp_path / "b").read_text()
+    assert "Wings &amp; &lt;ice&gt;" in text
+    assert not re.search(r"""(src|href)=["'](?!data:)""", text)
+    assert text.count("data:image/png;base64,") == 3  # side by side, and each mode
+    assert "lost at 7.0 s" in text
+    assert text.count("<tr") == 3 + 5  # two modes and four flights, with their headings
+    for name in ("comparison", "none", "understudy-soft"):
+        assert np.ptp(imread(tmp_path / "a" / "figures" / f"{name}.png")) > 0.5  # not a blank picture
+
+
+def test_the_table_on_the_terminal(flights: list[Result]) -> None:
+    screen = Console(file=io.StringIO(), width=160)
+    print_table(screen, "Ice", summarise(scores_by_mode(flights)))
+    lines = screen.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert any(re.search(r"none\s+–", line) and line.rstrip().endswith("2") for line in lines)  # both lost
+    assert any(re.search(r"understudy-soft\s+1\.67", line) for line in lines)  # 1 of 20 deg on one channel of three
+
+
+def test_the_results_page_says_what_misses_its_target(tmp_path: Path) -> None:
+    claims = [
+        Claim(claim="kept", value=1.5, unit="%", target="< 2 %", holds=True),
+        Claim(claim="missed", value=2.5, unit="%", target="< 2 %", holds=False),
+        Claim(claim="seen", value=None),
+    ]
+    table = Table(title="By mode", columns=["mode", "nMAE"], rows=[["a|b", 1.0], ["none", None]])
+    measured = Measured(
+        title="Chapter 8", command="make chapter8", seconds=61.2, runs=50, seeds=[1, 2, 3], claims=claims,
+        tables=[table], notes=["One reference was lost."],
+    )  # fmt: skip
+    folder = tmp_path / "results"
+    write("b", measured, folder)
+    write("a", measured, folder)
+    out = tmp_path / "docs" / "results.md"
+    assert write_page(folder, out) == 2
+    text = out.read_text()
+    assert text.index("(#a)") < text.index("(#b)")
+    assert "| missed | 2.5 % | < 2 % | **no** |" in text
+    assert "| kept | 1.5 % | < 2 % | yes |" in text
+    assert "| seen | – |  |  |" in text
+    assert "| a\\|b | 1 |" in text
+    assert "50 runs, seeds 1 to 3, 61 s" in text
+    write_page(folder, out)
+    assert out.read_text() == text
+
+
+def test_no_results_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no results"):
+        write_page(tmp_path, tmp_path / "page.md")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (True, "yes"), (0.000123456, "0.0001235"), (12345.6, "12346"), (7, "7"), ("as is", "as is")],
+)
+def test_numbers_in_tables(value: object, text: str) -> None:
+    assert number(value) == text

@@ -1,0 +1,133 @@
+"""Scenarios are read strictly, and what is wrong with one is said in a line."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from runtime.reference import load_reference
+from scenarios.references import build, csv_bytes, read_csv, with_count
+from scenarios.schema import MODES, References, Scenario, available, find, load_scenario, to_toml
+from sim_bridge.conditions import FlightCondition
+from sim_bridge.flight import Flight
+from task.errors import UserError
+from task.state import REFERENCE
+
+
+def scenario_file(folder: Path, text: str) -> Path:
+    path = folder / "some.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('title = "t"\nmode = ["none"]', r"some\.toml: .*unknown field `mode`.*known keys: title, .*modes"),
+        ('title = "t"\n[flight]\nlength = 3.0', r"some\.toml: .*unknown field `length`.*`\$\.flight`.*duration"),
+        (
+            'title = "t"\n[flight.condition]\nspeed = "fast"',
+            r"some\.toml: expected `float`, got `str`.*condition\.speed",
+        ),
+        ('title = "t"\n[flight]\nduration = -1.0', r"some\.toml: .*duration"),
+        ('title = "t"\n[references]\nfamily = "wild"', r"some\.toml: .*'wild'.*references\.family"),
+        ('title = "t"\n[references]\nsource = "file"', r"some\.toml: references\.file: expected a CSV file"),
+        ('title = "t"\n[references]\nsource = "random"\nseeds = []', r"some\.toml: references\.seeds: .*at least one"),
+        ('title = "t"\nmodes = ["none", "magic"]', r"some\.toml: .*'magic'.*modes"),
+        ('title = "t"\nmodes = ["none", "none"]', r"some\.toml: modes: expected each mode once"),
+        ('title = "t"\nmodes = []', r"some\.toml: modes: expected at least one"),
+        ('description = "no title"', r"some\.toml: .*missing required field `title`"),
+        ("title = ", r"some\.toml: not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, line: str) -> None:
+    with pytest.raises(UserError, match=line) as caught:
+        load_scenario(scenario_file(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scenario_that_is_not_there() -> None:
+    with pytest.raises(UserError, match=r"scenario 'cg_shfit': no such scenario; choose one of .*\.toml file"):
+        find("cg_shfit")
+    with pytest.raises(UserError, match=r"nowhere\.toml: no such scenario"):
+        load_scenario(find("nowhere.toml"))
+
+
+@pytest.mark.parametrize("path", available().values(), ids=available())
+def test_every_shipped_scenario_reads_and_says_what_it_verifies(path: Path) -> None:
+    scenario = load_scenario(path)
+    assert scenario.title
+    assert scenario.description
+    comments = [line for line in path.read_text().splitlines() if line.startswith("#")]
+    heads = [line.lstrip("# ").split("|")[0].strip() for line in comments]
+    assert [head for head in heads if head][:1] == ["Verifies"]
+    assert {"Verifies", "Atmosphere", "Vehicle", "Notes"} <= set(heads)
+
+
+def test_a_flight_written_as_toml_reads_back_the_same() -> None:
+    flight = Flight(duration=1e-2, condition=FlightCondition(flight_path=-math.pi / 60, heading=1.25e-7), seed=7)
+    assert msgspec.convert(tomllib.loads(to_toml(flight)), Flight) == flight
+
+
+@pytest.mark.parametrize("path", available().values(), ids=available())
+def test_every_shipped_scenario_survives_toml(path: Path) -> None:
+    scenario = load_scenario(path)
+    assert msgspec.convert(tomllib.loads(to_toml(scenario)), Scenario) == scenario
+    assert msgspec.convert(tomllib.loads(to_toml(scenario.flight)), Flight) == scenario.flight
+
+
+def test_the_modes_are_the_two_presets_and_their_ways_to_switch() -> None:
+    assert list(MODES) == ["none", "thesis-hard", "thesis-soft", "understudy-hard", "understudy-soft"]
+    assert all(mode.name in {"none", f"{mode.preset}-{mode.switch}"} for mode in MODES.values())
+
+
+def test_references_are_drawn_about_trim_and_each_seed_is_another() -> None:
+    scenario = Scenario(title="t", flight=Flight(duration=20.0), references=with_count(References(), 3))
+    first, second, third = build(scenario, Path())
+    assert [r.name for r in (first, second, third)] == ["evaluation-1", "evaluation-2", "evaluation-3"]
+    trim = build(Scenario(title="t", flight=Flight(duration=20.0)), Path())[0].rows[0, REFERENCE.theta]
+    assert first.rows.shape == (2000, 3)
+    assert first.rows[0, REFERENCE.theta] == trim != 0.0
+    assert not np.array_equal(first.rows, second.rows)
+    again = build(scenario, Path())
+    assert np.array_equal(first.rows, again[0].rows)
+
+
+def test_more_references_follow_the_seeds_given() -> None:
+    assert with_count(References(seeds=(4, 9)), 4).seeds == (4, 9, 10, 11)
+    assert with_count(References(seeds=(4, 9)), 1).seeds == (4,)
+
+
+def test_a_reference_file_is_exact_and_the_runtime_reads_the_same(tmp_path: Path) -> None:
+    rows = build(Scenario(title="t", flight=Flight(duration=20.0)), Path())[0].rows
+    path = tmp_path / "reference.csv"
+    path.write_bytes(csv_bytes(rows))
+    np.testing.assert_allclose(read_csv(path, len(rows)), rows, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(load_reference(path).preview(0.0, len(rows)), rows, rtol=0, atol=1e-7)
+    scenario = Scenario(
+        title="t", flight=Flight(duration=20.0), references=References(source="file", file="reference.csv")
+    )
+    (built,) = build(scenario, tmp_path)
+    assert built.name == "reference"
+    np.testing.assert_allclose(built.rows, rows, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("t,theta,phi,beta\n0,0,0\n", "not a reference; expected rows of t,theta,phi,beta"),
+        ("t,theta,phi,beta\n0,0,0,nan\n", "not a reference"),
+        ("", "not a reference"),
+        ("0,0,0,0\n0,0,0,0\n", "time must start at 0 s and rise"),
+    ],
+)
+def test_a_bad_reference_file_is_one_line(tmp_path: Path, text: str, line: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(UserError, match=line):
+        read_csv(path, 10)
