@@ -130,7 +130,7 @@ class Bridge:
         world, truth = self._world, self.truth
         for k in range(self._ticks + 1):
             time_us = k * TICK_US
-            truth.state(time_us, world.x, world.surfaces, world.wind_n, world.faults)
+            truth.state(time_us, world.x, world.surfaces, world.wind_n, world.fault_levels)
             if terminated(world.x):
                 return "aircraft lost"
             if k == self._ticks:

@@ -6,7 +6,10 @@ from typing import Annotated
 
 import msgspec
 
+from sim_bridge.air import Air
 from sim_bridge.conditions import FlightCondition
+from sim_bridge.faults import AnyFault
+from sim_bridge.sensors import SensorSettings
 from task.config import Settings
 
 
@@ -17,5 +20,11 @@ class Flight(Settings, frozen=True):
     """How long it lasts [s]."""
     condition: FlightCondition = FlightCondition()
     """The trimmed flight that it starts from."""
+    air: Air = Air()
+    """Steady wind and turbulence; gusts are faults."""
+    sensors: SensorSettings = SensorSettings()
+    """Noise, bias and delay of what is sent; ideal by default."""
+    faults: tuple[AnyFault, ...] = ()
+    """What breaks, when, how far and how fast; they combine in this order."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
-    """Seed of everything random in it: noise, turbulence."""
+    """Seed of everything random in it: sensor noise and turbulence."""

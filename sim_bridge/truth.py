@@ -23,7 +23,7 @@ class Truth:
     x            (n + 1, 12)       true state (task.state), before sensors
     surfaces     (n + 1, 3)        true deflections of elevator, aileron, rudder [rad]
     wind_n       (n + 1, 3)        velocity of the air over the ground, north-east-down [m/s]
-    faults       (n + 1, F) bool   whether each fault acts
+    faults       (n + 1, F)        how far each fault has grown, 0 (absent) to 1
     fault_names  (F,) text         what they are
     command      (n, 3)            command in force over [k, k + 1), as received [rad]
     echo_us      (n,) int64        time of the state that this command answers [us]; -1 for none
@@ -37,7 +37,7 @@ class Truth:
         self._x = np.zeros((capacity + 1, N_STATE))
         self._surfaces = np.zeros((capacity + 1, N_ACTION))
         self._wind_n = np.zeros((capacity + 1, 3))
-        self._faults = np.zeros((capacity + 1, len(fault_names)), dtype=bool)
+        self._faults = np.zeros((capacity + 1, len(fault_names)))
         self._fault_names = np.array(fault_names, dtype=np.str_)
         self._command = np.zeros((capacity, N_ACTION))
         self._echo_us = np.full(capacity, -1, dtype=np.int64)
@@ -49,9 +49,7 @@ class Truth:
         """Commands recorded, n."""
         return self._commands
 
-    def state(
-        self, time_us: int, x: np.ndarray, surfaces: np.ndarray, wind_n: np.ndarray, faults: np.ndarray | list[bool]
-    ) -> None:
+    def state(self, time_us: int, x: np.ndarray, surfaces: np.ndarray, wind_n: np.ndarray, faults: list[float]) -> None:
         """Record the state of the next tick."""
         k = self._states
         self._time_us[k] = time_us

@@ -4,42 +4,61 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim_bridge.faults import describe
 from sim_bridge.flight import Flight
 from sim_bridge.plant import Plant
+from sim_bridge.schedule import FaultSchedule
+from sim_bridge.sensors import Sensors
+from task.limits import DT
 from task.state import STATE
 
 
 class World:
     """The aircraft of one flight at its current tick; deterministic in the flight and its seed.
 
-    Raises UserError when the aircraft cannot be trimmed to the flight's condition.
+    Noise and turbulence have streams of their own, so that one does not change with the other. Raises UserError
+    when the aircraft cannot be trimmed to the flight's condition.
     """
 
     def __init__(self, flight: Flight) -> None:
+        noise, turbulence = np.random.SeedSequence(flight.seed).spawn(2)
         self._plant = Plant()
-        self.x = self._plant.reset(flight.condition)
-        """True state (12,), task.state."""
+        self._sensors = Sensors(flight.sensors, np.random.default_rng(noise))
+        self._schedule = FaultSchedule(flight.faults)
+        self._tick = 0
+        seed = int(turbulence.generate_state(1)[0]) >> 1  # JSBSim takes a positive 32-bit integer
+        self.x = self._plant.reset(flight.condition, air=flight.air, seed=seed)
+        """True state (12,), task.state; the array is reused."""
         self.trim_action = self._plant.trim.action
         """Deflections that hold the start [rad], shape (3,)."""
-        self.surfaces = self.trim_action
-        """True deflections [rad], shape (3,)."""
         self.origin_altitude = round(float(self.x[STATE.h]), 3)
         """Altitude of the start [m], a whole number of millimetres."""
-        self.fault_names: list[str] = []
-        self.faults: list[bool] = []
-        """Whether each fault acts now."""
+        self.fault_names = [describe(fault) for fault in flight.faults]
+        self._arrive()
+
+    def _arrive(self) -> None:
+        """Bring faults and measurement to the current tick."""
+        self._schedule.apply(self._plant, self._tick * DT, self._sensors)
+        self.measured = self._sensors.measure(self.x)
+        """What the sensors say of x, shape (12,)."""
 
     @property
-    def measured(self) -> np.ndarray:
-        """What the sensors say of x, shape (12,)."""
-        return self.x.copy()
+    def fault_levels(self) -> list[float]:
+        """How far each fault has grown, 0 to 1."""
+        return self._schedule.levels
+
+    @property
+    def surfaces(self) -> np.ndarray:
+        """True deflections [rad], shape (3,)."""
+        return self._plant.surfaces
 
     @property
     def wind_n(self) -> np.ndarray:
-        """Velocity of the air over the ground, north-east-down [m/s], shape (3,)."""
+        """Velocity of the air over the ground at the aircraft, north-east-down [m/s], shape (3,)."""
         return self._plant.wind
 
     def step(self, command: np.ndarray) -> None:
         """Advance by one tick under a command (3,) [rad]."""
-        self.surfaces = command
         self.x = self._plant.step(command)
+        self._tick += 1
+        self._arrive()

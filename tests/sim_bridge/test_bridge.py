@@ -9,19 +9,24 @@ import time
 import numpy as np
 import pytest
 
+from sim_bridge.air import Air
 from sim_bridge.bridge import Bridge, Summary
 from sim_bridge.exchange import TICK_US, Timing
+from sim_bridge.faults import Bandwidth
 from sim_bridge.flight import Flight
 from sim_bridge.link import Link
+from sim_bridge.presets import R3_SENSORS
 from task.limits import DEFLECTION_LIMIT, DT
 from task.state import STATE
 
 QUICK = Timing(patience=0.5, reply_timeout=0.05, resend=0.02)
 
 
-def flown(link: str, seconds: float = 0.5, timing: Timing = QUICK, **options) -> tuple[Summary, dict]:
+def flown(
+    link: str, seconds: float = 0.5, timing: Timing = QUICK, flight: Flight | None = None, **options
+) -> tuple[Summary, dict]:
     with Link(link) as connected:
-        bridge = Bridge(Flight(duration=seconds), connected, timing=timing, **options)
+        bridge = Bridge(flight or Flight(duration=seconds), connected, timing=timing, **options)
         summary = bridge.fly()
     return summary, bridge.truth.arrays()
 
@@ -43,6 +48,24 @@ def test_two_lockstep_flights_are_equal_bit_for_bit(peer_factory):
     assert np.abs(np.diff(first["command"], axis=0)).max() > 0
     for name in first:
         assert first[name].tobytes() == second[name].tobytes(), name
+
+
+def test_everything_random_is_repeated_by_the_seed_and_the_truth_is_not_what_is_sent(peer_factory):
+    rough = Flight(
+        duration=0.5, seed=5, sensors=R3_SENSORS, air=Air(turbulence="moderate", wind_north=3.0),
+        faults=(Bandwidth(surface="elevator", hz=1.0, start=0.2),),
+    )  # fmt: skip
+    peers = [peer_factory(), peer_factory()]
+    first, second = (flown(peer.link, flight=rough)[1] for peer in peers)
+    assert peers[0].state == peers[1].state
+    for name in first:
+        assert first[name].tobytes() == second[name].tobytes(), name
+    assert abs(peers[0].state[11] - first["x"][49, STATE.q]) > 1e-6
+    assert first["faults"][:, 0].tolist() == [0.0] * 20 + [1.0] * 31
+    np.testing.assert_allclose(first["surfaces"][1:21, 0], first["command"][:20, 0], atol=1e-12)
+    assert (first["surfaces"][21:, 0] != first["command"][20:, 0]).all()
+    assert peers[0].ids.count(231) == peers[0].ids.count(331)
+    assert peers[0].ids[peers[0].ids.index(331) - 1] == 231
 
 
 def test_the_lag_of_the_interface_holds_end_to_end(peer_factory, frame_of):

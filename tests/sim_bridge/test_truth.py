@@ -12,9 +12,9 @@ from task.errors import UserError
 def recorded(ticks: int) -> Truth:
     truth = Truth(10, ["jam", "ice"])
     for k in range(ticks):
-        truth.state(k * 10_000, np.arange(12.0) + k, np.full(3, 0.1 * k), np.array([1.0, 0, 0]), [k > 1, False])
+        truth.state(k * 10_000, np.arange(12.0) + k, np.full(3, 0.1 * k), np.array([1.0, 0, 0]), [0.5 * (k > 1), 0.0])
         truth.command(np.full(3, 0.01 * k), k * 10_000)
-    truth.state(ticks * 10_000, np.arange(12.0) + ticks, np.zeros(3), np.zeros(3), [True, False])
+    truth.state(ticks * 10_000, np.arange(12.0) + ticks, np.zeros(3), np.zeros(3), [1.0, 0.0])
     return truth
 
 
@@ -27,7 +27,7 @@ def test_what_was_recorded_is_read_back_without_pickle(tmp_path):
         assert file["x"][3, 5] == 8.0
         assert file["command"].shape == (4, 3)
         assert file["echo_us"].tolist() == [0, 10_000, 20_000, 30_000]
-        assert file["faults"].tolist() == [[False, False]] * 2 + [[True, False]] * 3
+        assert file["faults"].tolist() == [[0.0, 0.0]] * 2 + [[0.5, 0.0]] * 2 + [[1.0, 0.0]]
         assert file["fault_names"].tolist() == ["jam", "ice"]
 
 
