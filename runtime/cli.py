@@ -11,13 +11,16 @@ from types import FrameType
 
 import click
 
-from runtime.config import PRESETS, resolve
+from runtime.config import PRESETS, Configuration, resolve
+from runtime.laws.catalogue import LAWS, LawName, load_solo
+from runtime.laws.solo import Solo
 from runtime.loop import Outcome
 from runtime.mavlink_link import MavlinkLink
-from runtime.population import load_population
+from runtime.population import Population, load_population
 from runtime.reference import LiveReference, load_reference
 from runtime.session import Flown, Session
 from runtime.udp import parse_address
+from task.errors import UserError
 
 SILENT_EXIT = 3
 """Exit code when the aircraft's side fell silent in mid-flight."""
@@ -46,10 +49,50 @@ def _say(line: str) -> None:
         click.echo(f"runtime: {line}", err=True)
 
 
+def _configure(
+    population: Path | None,
+    law: str | None,
+    preset: str | None,
+    config: Path | None,
+    overrides: tuple[str, ...],
+    switch: str | None,
+    realtime: bool,
+) -> Configuration:
+    """Return the configuration; with a law nothing is switched and no prior is there to start from."""
+    if (population is None) == (law is None):
+        got = "none of them" if law is None else "both"
+        raise UserError(f"expected either --population FOLDER or --law {'|'.join(LAWS)}, got {got}")
+    if law is None:
+        return resolve(preset, config, overrides, switch, realtime)
+    if switch not in (None, "none"):
+        raise UserError(f"--law {law}: flies alone; expected --switch none or no --switch, got {switch}")
+    return resolve(preset, config, (*overrides, "prior=none"), "none", realtime)
+
+
+def _load(population: Path | None, law: LawName | None, configuration: Configuration) -> Population | Solo:
+    """Return who flies."""
+    if law is not None:
+        return load_solo(law, configuration.operation.dt)
+    assert population is not None  # _configure saw to it
+    return load_population(population)
+
+
+def _describe(cast: Population | Solo, configuration: Configuration) -> str:
+    """Return in words who flies and how the cast changes."""
+    if isinstance(cast, Solo):
+        return f"the law {cast.name} flies alone"
+    adaptation = configuration.adaptation
+    return (
+        f"{cast.name}, {len(cast.members)} members, {cast.members[cast.champion]} flies first; "
+        f"preset {configuration.preset}, switch {adaptation.switch}"
+    )
+
+
 @click.command()
 @click.option("--link", "address", default="udpin:0.0.0.0:14560", show_default=True,
               help="udpin:HOST:PORT is bound and answers who speaks; udpout:HOST:PORT speaks first.")  # fmt: skip
-@click.option("--population", type=Path, required=True, help="The cast: a folder that 'understudy export' wrote.")
+@click.option("--population", type=Path, help="The cast: a folder that 'understudy export' wrote.")
+@click.option("--law", type=click.Choice(LAWS), help="Fly this classical law instead of a population.")
 @click.option("--reference", "reference_path", type=Path,
               help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip
 @click.option("--preset", type=click.Choice(list(PRESETS)), help="Recipe of the adaptation.  [default: understudy]")
@@ -61,7 +104,8 @@ def _say(line: str) -> None:
 @click.option("--realtime", is_flag=True, help="Keep the wall clock; without it, lockstep.")
 def main(
     address: str,
-    population: Path,
+    population: Path | None,
+    law: LawName | None,
     reference_path: Path | None,
     preset: str | None,
     switch: str | None,
@@ -70,10 +114,10 @@ def main(
     log: Path,
     realtime: bool,
 ) -> None:
-    """Fly an aircraft that speaks docs/interface.md with the best of a population."""
-    configuration = resolve(preset, config, overrides, switch, realtime)
+    """Fly an aircraft that speaks docs/interface.md with the best of a population, or with a law."""
+    configuration = _configure(population, law, preset, config, overrides, switch, realtime)
     where = parse_address(address)
-    cast = load_population(population)
+    cast = _load(population, law, configuration)
     live = LiveReference()
     reference = load_reference(reference_path, configuration.operation.dt) if reference_path else live
     stop = _Stop()
@@ -85,10 +129,7 @@ def main(
     )
     try:
         with Session(link, cast, reference, configuration, log, _say, stop) as session:
-            _say(
-                f"{cast.name}, {len(cast.members)} members, {cast.members[cast.champion]} flies first; "
-                f"preset {configuration.preset}, switch {configuration.adaptation.switch}; waiting on {where.text}"
-            )
+            _say(f"{_describe(cast, configuration)}; waiting on {where.text}")
             flown = session.fly()
     finally:
         link.close()

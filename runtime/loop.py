@@ -14,14 +14,13 @@ from runtime.clock import Clock
 from runtime.config import Operation
 from runtime.guard import NAMES, UNUSABLE, Guard, Health, describe
 from runtime.identification import IncrementalModel
+from runtime.laws.solo import NoPlays
 from runtime.link import Link, Sample, Severity
 from runtime.plays import Played, Plays
-from runtime.population import BehaviouralPolicy
+from runtime.policy import Policy
 from runtime.recorder import Recorder
 from runtime.reference import Reference
 from runtime.switching import REASONS, Action, Cast
-from task.observation import observation
-from task.state import N_OBSERVATION
 
 
 class Outcome(StrEnum):
@@ -47,10 +46,10 @@ class Loop:
         self,
         link: Link,
         clock: Clock,
-        policy: BehaviouralPolicy,
+        policy: Policy,
         cast: Cast,
         model: IncrementalModel,
-        plays: Plays,
+        plays: Plays | NoPlays,
         reference: Reference,
         guard: Guard,
         recorder: Recorder,
@@ -70,7 +69,6 @@ class Loop:
         self.next_flight: Sample | None = None
         """The first state of the flight that took this one's place."""
         self._dt_us = round(operation.dt * 1e6)
-        self._observation = np.zeros(N_OBSERVATION)
         self._said_at: dict[int, int] = {}
 
     def fly(self, first: Sample) -> Outcome:
@@ -113,7 +111,7 @@ class Loop:
             self.report(sample, health)
             return
         if health & UNUSABLE:
-            self.model.restart_history()
+            self.restart_histories()
             command, why = self.guard.fallback()
         else:
             self.model.observe(x)
@@ -121,11 +119,12 @@ class Loop:
             if played is not None:
                 self.cast.take(played.decision)
             self.cast.step()
-            action = self.policy.act(observation(x, reference, self._observation))
+            action = self.policy.steer(x, reference)
             command, why = self.guard.command(action)
         self.link.write(command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
         self.model.command(command)
+        self.policy.sent(command)
         self.clock.arrived()
         self.account(sample, tick, reference, command, health | why, played)
         self.overruns += time.perf_counter_ns() - began > 1000 * self._dt_us
@@ -134,11 +133,16 @@ class Loop:
         """Return how many samples after the first one this is."""
         return round((sample.time_usec - self.first.time_usec) / self._dt_us)
 
+    def restart_histories(self) -> None:
+        """Forget the samples before a gap, not what was learnt from them."""
+        self.model.restart_history()
+        self.policy.restart_history()
+
     def check(self, sample: Sample) -> int:
-        """Return what is wrong with a state; across a gap the model forms no increment."""
+        """Return what is wrong with a state; across a gap no increment is formed."""
         health = self.guard.check_state(sample.x)
         if sample is not self.first and abs(sample.time_usec - self.last.time_usec - self._dt_us) > self._dt_us // 4:
-            self.model.restart_history()
+            self.restart_histories()
             self.gaps += 1
             health |= Health.GAP
         return health

@@ -15,6 +15,7 @@ from runtime.manifest import Header, Manifest, check, check_header
 from task.config import convert, read_bytes
 from task.errors import UserError
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
+from task.observation import observation
 from task.state import N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE
 
 MANIFEST = "manifest.json"
@@ -237,6 +238,7 @@ class BehaviouralPolicy:
         _check_interface(session, {"observation": (1, N_OBSERVATION), **shapes}, "action", Path(where))
         self.parameters = population.parameters[population.champion].copy()
         """(K,) float32, flat, in the manifest's layout; change it in place."""
+        self._seen = np.zeros(N_OBSERVATION)
         self._observation = np.zeros(N_OBSERVATION, dtype=np.float32)
         self._action = np.zeros(N_ACTION, dtype=np.float32)
         # The graph reads and writes these arrays where they lie: nothing is copied or allocated per call.
@@ -255,3 +257,16 @@ class BehaviouralPolicy:
         self._observation[:] = s
         self._run(self._binding)
         return self._action
+
+    def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] for a state (12,) and a reference (3,) [rad], unlimited; reused by the next."""
+        return self.act(observation(x, reference, self._seen))
+
+    def sent(self, command: np.ndarray) -> None:
+        """Do nothing: the network remembers no command."""
+
+    def reset(self) -> None:
+        """Do nothing: the network remembers no flight; its parameters are the cast's to set."""
+
+    def restart_history(self) -> None:
+        """Do nothing: the network remembers no sample."""

@@ -14,15 +14,17 @@ from runtime.config import Configuration
 from runtime.guard import UNUSABLE, Guard, describe
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
+from runtime.laws.solo import NoPlays, Solo
 from runtime.link import Link, Sample, Severity
 from runtime.loop import Loop, Outcome
 from runtime.plays import Plays
+from runtime.policy import Policy
 from runtime.population import BehaviouralPolicy, Population
 from runtime.recorder import Recorder, Summary, check_writable, percentiles
 from runtime.reference import Reference
 from runtime.switching import Cast
 from task.errors import UserError
-from task.state import N_OBSERVATION, N_REFERENCE
+from task.state import N_REFERENCE, N_STATE
 
 
 class Flown(NamedTuple):
@@ -41,13 +43,14 @@ def log_path(log: Path, number: int) -> Path:
 class Session:
     """Everything that outlives a flight. Use it as a context manager.
 
+    ``population`` is the cast, or one law that flies alone.
     ``say`` takes one line at a time; ``stopped`` is asked whether somebody wants to end the flight.
     """
 
     def __init__(
         self,
         link: Link,
-        population: Population,
+        population: Population | Solo,
         reference: Reference,
         configuration: Configuration,
         log: Path,
@@ -61,14 +64,14 @@ class Session:
         self._configuration, self._log = configuration, log
         self._say, self._stopped = say, stopped
         self._information = {"population_sha256": population.sha256, **(information or {})}
-        self._policy = BehaviouralPolicy(population)
+        self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
         self._cast = Cast(self._policy.parameters, population.parameters, population.champion, adaptation.rho)
         self._model = IncrementalModel(
             adaptation, population.command_lag, population.theta, population.p0, operation.dt
         )
         self._guard = Guard(operation)
         self._horizon = round(adaptation.horizon / operation.dt)
-        self._imagination = Imagination(population, self._horizon)
+        self._imagination = None if isinstance(population, Solo) else Imagination(population, self._horizon)
         self._real_time: list[str] = []
         self._rehearse()
 
@@ -76,11 +79,14 @@ class Session:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._imagination.close()
+        if self._imagination is not None:
+            self._imagination.close()
 
     def _rehearse(self) -> None:
         """Run every part once, so that nothing is slow the first time that it matters."""
-        self._policy.act(np.zeros(N_OBSERVATION))
+        self._policy.steer(np.zeros(N_STATE), np.zeros(N_REFERENCE))
+        if self._imagination is None:
+            return
         identified = self._model.snapshot()
         reference = np.zeros((self._horizon + 1, N_REFERENCE), dtype=np.float32)
         self._imagination.request(Snapshot(*identified, reference=reference, incumbent=self._cast.live), 0)
@@ -128,10 +134,11 @@ class Session:
         began = time.monotonic()
         adaptation, operation = self._configuration.adaptation, self._configuration.operation
         self._cast.reset()
+        self._policy.reset()
         self._model.reset()
         self._guard.reset()
         clock: Clock = RateKeeper(operation.dt, operation.missed_factor) if operation.real_time else SteppedClock()
-        plays = Plays(
+        plays = NoPlays() if self._imagination is None else Plays(
             self._imagination, self._model, self._cast, self._reference, adaptation, operation.dt,
             not operation.real_time,
         )  # fmt: skip
@@ -153,7 +160,9 @@ class Session:
             self._say(summary.log_error)
         return Flown(outcome, path, summary), loop.next_flight
 
-    def _summarise(self, loop: Loop, plays: Plays, clock: Clock, outcome: Outcome, wall_seconds: float) -> Summary:
+    def _summarise(
+        self, loop: Loop, plays: Plays | NoPlays, clock: Clock, outcome: Outcome, wall_seconds: float
+    ) -> Summary:
         rls = self._model.rls
         return Summary(
             outcome=str(outcome),

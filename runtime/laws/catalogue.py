@@ -1,0 +1,55 @@
+"""Which laws there are, and their settings as tuned for the Citation (``bench/tune_laws.py``)."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Literal, get_args
+
+from runtime.laws.effectiveness import Effectiveness, EstimateSettings
+from runtime.laws.indi import INDI, INDIGains
+from runtime.laws.law import Airframe, Law
+from runtime.laws.pid import PID, PIDGains
+from runtime.laws.solo import Solo
+from task.config import Settings, load_json, read_bytes
+from task.limits import DT
+
+SETTINGS = Path(__file__).parent / "citation.json"
+
+LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree"]
+LAWS: tuple[LawName, ...] = get_args(LawName)
+"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign."""
+
+
+class LawSettings(Settings, frozen=True, kw_only=True):
+    """Everything that decides the laws."""
+
+    airframe: Airframe
+    """What all of them know of the healthy aircraft."""
+    pid: PIDGains
+    """Gains of the three PID loops."""
+    indi: INDIGains
+    """Gains of INDI, with and without the estimate."""
+    estimate: EstimateSettings
+    """How the effectiveness is followed."""
+
+
+def load_settings(path: Path = SETTINGS) -> LawSettings:
+    """Read the settings. Raises UserError for a file that is missing or malformed."""
+    return load_json(path, LawSettings, "settings of the laws")
+
+
+def make_law(name: LawName, settings: LawSettings, dt: float = DT) -> Law:
+    """Return a law at the start of a flight; dt is the sample time of the loop [s]."""
+    if name == "pid":
+        return PID(settings.airframe, settings.pid, dt)
+    estimate = None
+    if name != "indi":
+        estimate = Effectiveness(settings.airframe, settings.estimate, sign_free=name == "indi-rls-signfree")
+    return INDI(settings.airframe, settings.indi, estimate, name, dt)
+
+
+def load_solo(name: LawName, dt: float = DT, path: Path = SETTINGS) -> Solo:
+    """Return a law that flies alone, with the settings of ``path``. Raises UserError."""
+    law = make_law(name, load_settings(path), dt)
+    return Solo(law, hashlib.sha256(read_bytes(path, "settings of the laws")).hexdigest())

@@ -1,0 +1,151 @@
+"""Incremental nonlinear dynamic inversion, with a fixed effectiveness or one that is found in flight."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from runtime.laws.effectiveness import MOTIONS, Effectiveness
+from runtime.laws.law import Airframe, Law, Positive, Row
+from runtime.lowpass import LowPass
+from task.config import Settings
+from task.limits import DEFLECTION_LIMIT, DT
+from task.state import N_ACTION, REFERENCE, STATE
+
+_MOTION = [int(i) for i in (STATE.p, STATE.q, STATE.r, STATE.alpha, STATE.beta)]
+_ALPHA, _BETA = 3, 4
+"""Places of alpha and beta among the filtered signals; p, q, r come first, the commands last."""
+
+
+class INDIGains(Settings, frozen=True, kw_only=True):
+    """Gains of the two outer loops, and the filter of the inner one."""
+
+    attitude: Row
+    """Rate asked for over error, of theta, phi and beta [1/s]."""
+    rate: Row
+    """Angular acceleration asked for over error, of p, q and r [1/s]."""
+    cutoff: Positive
+    """Of the second-order low-pass on rates, alpha, beta and commands alike [Hz]."""
+
+
+class INDI(Law):
+    """Attitude -> rate -> angular acceleration -> increment of the deflections.
+
+    The rates asked for, of theta and phi by exact kinematics and of beta with the side force as it is measured:
+
+        theta_dot = d(theta_ref)/dt + k e    q = (theta_dot + r sin phi) / cos phi
+        phi_dot   = d(phi_ref)/dt + k e      p = phi_dot - (q sin phi + r cos phi) tan theta
+        beta_dot  = d(beta_ref)/dt + k e     r = (beta_dot_f + r_f cos alpha - beta_dot) / cos alpha
+
+    and from them, with index f for low-passed and B the effectiveness at the actual dynamic pressure:
+
+        u = u_f + B^-1 (k_rate ((p, q, r) - omega) - omega_dot_f)
+
+    omega_dot_f spans the last two states, which the command two samples back moved (the link's command lag): u_f is
+    delayed and filtered alike, so that the two belong together. ``estimate`` replaces the columns of B by multiples of
+    the nominal ones that are found in flight; without it B is fixed.
+    """
+
+    def __init__(
+        self, airframe: Airframe, gains: INDIGains, estimate: Effectiveness | None, name: str = "indi", dt: float = DT
+    ) -> None:
+        super().__init__(airframe, dt)
+        self.name = name
+        self.estimate = estimate
+        self._gains = gains
+        self._inverse = np.linalg.inv(np.array(airframe.effectiveness)).tolist()
+        n = len(_MOTION) + N_ACTION
+        self._filter = LowPass(gains.cutoff, dt, n)
+        self._start = np.zeros(n)
+        self._signal, self._last, self._moved = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._moved_before = np.zeros(n)
+        self._acceleration, self._acceleration_before = np.zeros(3), np.zeros(3)
+        self._commands = [np.zeros(N_ACTION) for _ in range(3)]
+        self._told = False
+        self._samples = 0
+
+    def reset(self) -> None:
+        """Start a new flight: trim, nothing learnt."""
+        super().reset()
+        self._told = False
+        if self.estimate is not None:
+            self.estimate.reset()
+
+    def restart_history(self) -> None:
+        """Forget the last samples; the filter starts again from the next."""
+        super().restart_history()
+        self._samples = 0
+
+    def sent(self, command: np.ndarray) -> None:
+        """Take what was sent: the next increment starts from it."""
+        oldest = self._commands.pop(0)
+        np.copyto(oldest, command)
+        self._commands.append(oldest)
+        self._told = True
+
+    def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad], within the limits of the task."""
+        now, asked = x.tolist(), reference.tolist()
+        ratio = self.pressure_ratio(now)
+        wanted = self.reference_rates(asked)
+        if self._samples == 0:
+            return self._begin(x, ratio)
+        self._measure(x, ratio)
+        p, q, r, phi, theta = now[STATE.p], now[STATE.q], now[STATE.r], now[STATE.phi], now[STATE.theta]
+        sin_phi, cos_phi = math.sin(phi), math.cos(phi)
+        cos_alpha = math.cos(now[STATE.alpha])
+        k_theta, k_phi, k_beta = self._gains.attitude
+        theta_rate = wanted[REFERENCE.theta] + k_theta * (asked[REFERENCE.theta] - theta)
+        phi_rate = wanted[REFERENCE.phi] + k_phi * (asked[REFERENCE.phi] - phi)
+        beta_rate = wanted[REFERENCE.beta] + k_beta * (asked[REFERENCE.beta] - now[STATE.beta])
+        side = self._moved[_BETA] / self._dt + (self._signal[STATE.r] + self._start[STATE.r]) * cos_alpha
+        rates = (
+            phi_rate - (q * sin_phi + r * cos_phi) * math.tan(theta),
+            (theta_rate + r * sin_phi) / math.copysign(max(abs(cos_phi), 0.1), cos_phi),
+            (side - beta_rate) / cos_alpha,
+        )
+        missing = [
+            k * (rate - measured) - acceleration
+            for k, rate, measured, acceleration in zip(
+                self._gains.rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
+            )
+        ]
+        multipliers = [1.0] * N_ACTION if self.estimate is None else self.estimate.multipliers
+        for j, row in enumerate(self._inverse):
+            step = (row[0] * missing[0] + row[1] * missing[1] + row[2] * missing[2]) / (ratio * multipliers[j])
+            u = self._start[MOTIONS + j] + self._signal[MOTIONS + j] + step
+            self._action[j] = min(max(u, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
+        return self._action
+
+    def _begin(self, x: np.ndarray, ratio: float) -> np.ndarray:
+        """Start the filter at a state, and return the command that goes on: the last one, or trim."""
+        if not self._told:
+            for command in self._commands:
+                command[:] = self.trim(ratio), 0.0, 0.0
+        for command in self._commands[:-1]:
+            np.copyto(command, self._commands[-1])
+        np.take(x, _MOTION, out=self._start[:MOTIONS])
+        np.copyto(self._start[MOTIONS:], self._commands[-1])
+        for signal in (self._last, self._moved, self._acceleration):
+            signal[:] = 0.0
+        self._filter.reset()
+        self._samples = 1
+        np.copyto(self._action, self._commands[-1])
+        return self._action
+
+    def _measure(self, x: np.ndarray, ratio: float) -> None:
+        """Filter what was measured and what was sent, difference it, and learn from it."""
+        np.copyto(self._moved_before, self._moved)
+        np.copyto(self._acceleration_before, self._acceleration)
+        np.take(x, _MOTION, out=self._signal[:MOTIONS])
+        np.copyto(self._signal[MOTIONS:], self._commands[-2])
+        np.subtract(self._signal, self._start, out=self._signal)
+        self._filter.filter(self._signal)
+        np.subtract(self._signal, self._last, out=self._moved)
+        np.copyto(self._last, self._signal)
+        np.divide(self._moved[:3], self._dt, out=self._acceleration)
+        self._samples += 1
+        if self.estimate is not None and self._samples > 3:
+            np.subtract(self._acceleration, self._acceleration_before, out=self._acceleration_before)
+            self.estimate.update(self._moved_before[:MOTIONS], self._moved[MOTIONS:], ratio, self._acceleration_before)
