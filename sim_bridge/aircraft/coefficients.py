@@ -90,8 +90,10 @@ class YawDamper(Settings, frozen=True):
 
 
 class Icing(Settings, frozen=True):
-    """How ice changes the reference, beyond the drag and the angle that a fault sets."""
+    """How ice changes the reference; a fault sets how much drag it adds and where lift begins to be lost."""
 
+    drag: float
+    """Drag coefficient that the recorded ice added [-]; for comparison, the fault sets its own."""
     lift_slope: float
     """Lift lost per radian above the largest clean angle of attack [1/rad]."""
     lift_slope_knee: float

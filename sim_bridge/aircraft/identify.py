@@ -4,19 +4,22 @@
    (:mod:`targets`); each is fitted by penalised least squares (:mod:`regression`) to sums of tables
    (:mod:`structure`).
 2. Engine speeds: each spool's rate is fitted to what the auto-throttle asks for and its limits (:mod:`spools`).
-3. Taken over as constants: mass, inertia and geometry, which the reference states; the yaw damper and the
-   elevator's stops, which were measured on it; ice, from the iced recordings (:mod:`icing`).
+3. Ice: what the clean aircraft leaves over of the iced recordings (:mod:`icing`).
+4. Taken over as constants: mass, inertia and geometry, which the reference states; the yaw damper and the elevator's
+   stops, which were measured on it.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from sim_bridge.aircraft import spools, structure
-from sim_bridge.aircraft.coefficients import AXES, Body, Coefficients, Engine, Icing, Limits, Term, YawDamper
-from sim_bridge.aircraft.recordings import ELEVATOR_LIMITS, Recording
+from sim_bridge.aircraft import spools
+from sim_bridge.aircraft.coefficients import AXES, Body, Coefficients, Engine, Limits, Term, YawDamper, evaluate
+from sim_bridge.aircraft.icing import identify_icing
+from sim_bridge.aircraft.recordings import ELEVATOR_LIMITS, FOLDER, Recording, load_case
 from sim_bridge.aircraft.regression import NormalEquations, Unknown, solve
 from sim_bridge.aircraft.targets import force_samples, moment_samples
 from sim_bridge.conditions import NOMINAL, R1, R2, FlightCondition
@@ -74,17 +77,34 @@ def engine(evidence: list[Evidence]) -> Engine:
     )
 
 
-def identify(evidence: list[Evidence], unknowns: dict[str, list[Unknown]], icing: Icing) -> Coefficients:
-    """Return the aircraft that the evidence determines."""
+def identify(evidence: list[Evidence], unknowns: dict[str, list[Unknown]], iced: list[Recording]) -> Coefficients:
+    """Return the aircraft that the evidence, and iced recordings for the ice alone, determine."""
+    clean = aerodynamics(evidence, unknowns)
     return Coefficients(
-        provenance=f"Identified from {len(evidence)} recordings of the reference model.",
+        provenance=f"Identified from {len(evidence)} recordings of the reference model "
+        "by sim_bridge.aircraft.identify; do not edit.",
         body=BODY,
-        aerodynamics=aerodynamics(evidence, unknowns),
+        aerodynamics=clean,
         engine=engine(evidence),
         yaw_damper=YAW_DAMPER,
         limits=Limits(elevator_min=ELEVATOR_LIMITS[0], elevator_max=ELEVATOR_LIMITS[1]),
-        icing=icing,
+        icing=identify_icing(iced, clean, BODY, YAW_DAMPER),
     )
 
 
-__all__ = ["BODY", "PENALTY", "TRIMS", "YAW_DAMPER", "Evidence", "gather", "identify", "structure"]
+def gather_all(unknowns: dict[str, list[Unknown]], folder: Path = FOLDER) -> list[Evidence]:
+    """Return the evidence of every healthy recording below ``folder``."""
+    return [gather(recording, unknowns) for case in TRIMS for recording in load_case(case, folder)]
+
+
+def unexplained(evidence: list[Evidence], found: Coefficients) -> dict[str, float]:
+    """Return, by axis, the share of the coefficient's variance that the fit leaves unexplained [%]."""
+    left: dict[str, list[np.ndarray]] = {axis: [] for axis in AXES}
+    whole: dict[str, list[np.ndarray]] = {axis: [] for axis in AXES}
+    for item in evidence:
+        for samples in (force_samples, moment_samples):
+            data, targets = samples(item.recording, BODY, YAW_DAMPER)
+            for axis, y in targets.items():
+                left[axis].append(y - evaluate(found.aerodynamics[axis], data))
+                whole[axis].append(y)
+    return {axis: 100.0 * float(np.concatenate(left[axis]).var() / np.concatenate(whole[axis]).var()) for axis in AXES}
