@@ -83,7 +83,7 @@ def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
     if not value or ctx.resilient_parsing:
         return
     for name, path in schema.available().items():
-        click.echo(f"{name:<20} {schema.load_scenario(path).title}")
+        click.echo(f"{name:<24} {schema.load_scenario(path).title}")
     ctx.exit()
 
 

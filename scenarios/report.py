@@ -9,7 +9,8 @@ from typing import Any
 
 import jinja2
 
-from scenarios.figures import MODE_COLOURS, Flown, comparison, detail, save
+from scenarios.figures import comparison, detail, save
+from scenarios.panels import MODE_COLOURS, Flown
 from scenarios.run import Result
 from scenarios.schema import Scenario, to_toml
 from scenarios.score import Score

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from scenarios.figures import colour
+from scenarios.panels import colour
 from scenarios.report import best_row
 from scenarios.run import Job, Result
 from scenarios.summary import Row, cells
