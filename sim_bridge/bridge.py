@@ -9,6 +9,7 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
 
 from sim_bridge.codec import Codec, Status
 from sim_bridge.exchange import TICK_US, Ends, Exchange, Lockstep, NoRuntimeError, RealTime, StoppedError, Timing
@@ -91,7 +92,7 @@ class Bridge:
         codec = Codec(self._world.origin_altitude, new_reset_counter())
         self._sender = Sender(link, codec, lockstep=not realtime)
         self._pace = Pace(DT, self._ticks)
-        inbox = Inbox(link, codec, self._counts)
+        inbox = Inbox(link, codec, self._counts, self._order)
         trim = self._world.trim_action
         ends = Ends(link, self._sender, inbox, self._counts, timing or Timing(), trim, stopped, say)
         self._exchange: Exchange = RealTime(ends, self._pace) if realtime else Lockstep(ends)
@@ -125,6 +126,12 @@ class Bridge:
             response_us=percentiles(np.array(self._exchange.response)),
             jitter_us=percentiles(self._pace.lateness()) if self._realtime else None,
         )
+
+    def _order(self, message: mavlink.MAVLink_command_long_message) -> int:
+        """Carry out a command of a ground station; return its MAV_RESULT."""
+        result = self._world.inject(message)
+        self.truth.name_faults(self._world.fault_names)
+        return result
 
     def _cycle(self) -> Outcome:
         world, truth = self._world, self.truth

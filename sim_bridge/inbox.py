@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -33,12 +34,18 @@ class Counts(msgspec.Struct):
 
 
 class Inbox:
-    """Reads the link and hands on the commands in it."""
+    """Reads the link and hands on the commands in it.
 
-    def __init__(self, link: Link, codec: Codec, counts: Counts) -> None:
+    order: carries out a COMMAND_LONG and returns its MAV_RESULT.
+    """
+
+    def __init__(
+        self, link: Link, codec: Codec, counts: Counts, order: Callable[[mavlink.MAVLink_command_long_message], int]
+    ) -> None:
         self._link = link
         self._codec = codec
         self._counts = counts
+        self._order = order
         self._pending: deque[Command] = deque()
         self._heartbeats = 0
         self._last_unreadable = ""
@@ -68,7 +75,7 @@ class Inbox:
             self._pending.append(read_command(message))
         elif kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
             sender = message.get_srcSystem(), message.get_srcComponent()
-            self._link.send(self._codec.acknowledge(message.command, mavlink.MAV_RESULT_UNSUPPORTED, *sender))
+            self._link.send(self._codec.acknowledge(message.command, self._order(message), *sender))
         elif kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeats += 1
 

@@ -49,6 +49,12 @@ class Truth:
         """Commands recorded, n."""
         return self._commands
 
+    def name_faults(self, names: list[str]) -> None:
+        """Take the names of all faults when some have been added; those were absent until now."""
+        self._fault_names = np.array(names, dtype=np.str_)
+        added = len(names) - self._faults.shape[1]
+        self._faults = np.pad(self._faults, ((0, 0), (0, added)))
+
     def state(self, time_us: int, x: np.ndarray, surfaces: np.ndarray, wind_n: np.ndarray, faults: list[float]) -> None:
         """Record the state of the next tick."""
         k = self._states

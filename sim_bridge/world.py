@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
 
 from sim_bridge.faults import describe
 from sim_bridge.flight import Flight
+from sim_bridge.injection import Part, read_injection
 from sim_bridge.plant import Plant
 from sim_bridge.schedule import FaultSchedule
 from sim_bridge.sensors import Sensors
 from task.limits import DT
 from task.state import STATE
+
+MOST_INJECTED = 100
+"""Faults that a flight takes over the link; each has a column in the record."""
 
 
 class World:
@@ -25,6 +31,7 @@ class World:
         self._plant = Plant()
         self._sensors = Sensors(flight.sensors, np.random.default_rng(noise))
         self._schedule = FaultSchedule(flight.faults)
+        self._injected: dict[Part, int] = {}
         self._tick = 0
         seed = int(turbulence.generate_state(1)[0]) >> 1  # JSBSim takes a positive 32-bit integer
         self.x = self._plant.reset(flight.condition, air=flight.air, seed=seed)
@@ -33,7 +40,7 @@ class World:
         """Deflections that hold the start [rad], shape (3,)."""
         self.origin_altitude = round(float(self.x[STATE.h]), 3)
         """Altitude of the start [m], a whole number of millimetres."""
-        self.fault_names = [describe(fault) for fault in flight.faults]
+        self._most_faults = len(flight.faults) + MOST_INJECTED
         self._arrive()
 
     def _arrive(self) -> None:
@@ -41,6 +48,11 @@ class World:
         self._schedule.apply(self._plant, self._tick * DT, self._sensors)
         self.measured = self._sensors.measure(self.x)
         """What the sensors say of x, shape (12,)."""
+
+    @property
+    def fault_names(self) -> list[str]:
+        """What each fault is, in words; those that were injected come last."""
+        return [describe(fault) for fault in self._schedule.faults]
 
     @property
     def fault_levels(self) -> list[float]:
@@ -62,3 +74,25 @@ class World:
         self.x = self._plant.step(command)
         self._tick += 1
         self._arrive()
+
+    def inject(self, message: mavlink.MAVLink_command_long_message) -> int:
+        """Break, or mend, what a COMMAND_LONG asks for, from the next tick on; return its MAV_RESULT.
+
+        A part has one injected failure at a time: another one takes its place.
+        """
+        start = (self._tick + 1) * DT
+        result, failures = read_injection(message, start)
+        faults, levels = list(self._schedule.faults), list(self._schedule.levels)
+        if len(faults) + len(failures) > self._most_faults:
+            return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        for part, fault in failures.items():
+            if part in self._injected:
+                last = self._injected.pop(part)
+                faults[last] = msgspec.structs.replace(faults[last], end=start)
+            if fault is not None:
+                self._injected[part] = len(faults)
+                faults.append(fault)
+                levels.append(0.0)
+        self._schedule = FaultSchedule(faults)
+        self._schedule.levels = levels
+        return result

@@ -43,6 +43,7 @@ class Peer:
         self.reset_counters: set[int] = set()
         self.statuses: list[int] = []
         self.ids: list[int] = []
+        self.acks: list[bytes] = []
         self.state: tuple[float, ...] = ()
         self._script = script
         self._stop = threading.Event()
@@ -71,6 +72,8 @@ class Peer:
         self.ids.append(kind)
         if kind == 0:
             self.statuses.append(frame[10 + 7])
+        if kind == 77:
+            self.acks.append(frame[10:13])
         if kind != ODOMETRY_ID:
             return []
         assert checksum(frame[:-2], ODOMETRY_EXTRA) == frame[-2:]
