@@ -36,9 +36,9 @@ def chosen_modes(text: str | None, default: Sequence[str]) -> list[schema.Mode]:
     """Return the modes of a comma-separated list, or the default ones. Raises UserError."""
     names = [name.strip() for name in text.split(",")] if text else list(default)
     for name in names:
-        if name not in schema.MODES:
-            raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {', '.join(schema.MODES)}")
-    return [schema.MODES[name] for name in dict.fromkeys(names)]
+        if name not in schema.CHOICES:
+            raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {', '.join(schema.CHOICES)}")
+    return [schema.CHOICES[name] for name in dict.fromkeys(names)]
 
 
 def default_jobs(realtime: bool) -> int:
@@ -90,7 +90,7 @@ def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
 @click.command()
 @click.argument("scenario")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the scenarios.")
-@click.option("--modes", help="Comma-separated, of: " + ", ".join(schema.MODES) + ".  [default: the scenario's]")
+@click.option("--modes", help="Comma-separated, of: " + ", ".join(schema.CHOICES) + ".  [default: the scenario's]")
 @click.option("--references", "count", type=click.IntRange(min=1, max=1000),
               help="Fly this many random references instead of the scenario's.")  # fmt: skip
 @click.option("--population", help="Folder of the cast, or its name under populations/.  [default: the scenario's]")

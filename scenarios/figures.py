@@ -109,14 +109,14 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
         handles, labels = axes[0, 2].get_legend_handles_labels()
         reference = axes[0, 0].get_legend_handles_labels()[0][0]
         figure.legend([reference, *handles], ["reference", *labels], loc="upper right", ncols=3, borderaxespad=0.2)
-        _cast_legend(figure, flown[0].adaptation.members, tones)
+        _cast_legend(figure, tones)
         _title(figure, title, INK)
     return figure
 
 
-def _cast_legend(figure: Figure, members: Sequence[str], tones: dict[int, str]) -> None:
+def _cast_legend(figure: Figure, tones: dict[str, str]) -> None:
     """Say which colour of the strips is which member."""
-    patches = [Patch(color=tone, label=members[member]) for member, tone in tones.items()]
+    patches = [Patch(color=tone, label=member) for member, tone in tones.items()]
     figure.legend(
         handles=patches, loc="lower left", borderaxespad=0.2, ncols=min(len(patches), 9), handlelength=1.0,
         handleheight=0.7, columnspacing=1.2, title="strip: who flies      ▼ change of the cast", title_fontsize=8,

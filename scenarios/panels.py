@@ -144,14 +144,16 @@ def deflection(ax: Axes, flown: Flown, axis: ACTION) -> None:
     limit(ax, np.concatenate([command, surface]), least=2.0)
 
 
-def cast_strip(ax: Axes, adaptation: AdaptationTrace, tones: dict[int, str]) -> None:
+def cast_strip(ax: Axes, adaptation: AdaptationTrace, tones: dict[str, str]) -> None:
     """Draw who flies as a coloured strip along the bottom edge."""
     active, time = adaptation.active, adaptation.time
     if not active.size:
         return
     edges = np.concatenate([[0], np.flatnonzero(np.diff(active)) + 1, [active.size]])
     for start, stop in itertools.pairwise(edges):
-        ax.axvspan(time[start], time[stop - 1], 0.0, 0.055, color=tones[int(active[start])], lw=0, zorder=5)
+        ax.axvspan(
+            time[start], time[stop - 1], 0.0, 0.055, color=tones[adaptation.members[active[start]]], lw=0, zorder=5
+        )
 
 
 def full_time(ax: Axes, flight: FlightTrace) -> None:
@@ -159,14 +161,14 @@ def full_time(ax: Axes, flight: FlightTrace) -> None:
     ax.set_xlim(0.0, flight.planned_samples * DT)
 
 
-def cast_colours(flown: Sequence[Flown]) -> dict[int, str]:
-    """Return a colour for each member that flew in any of the flights; the first ever to fly comes first."""
-    order: dict[int, None] = {}
+def cast_colours(flown: Sequence[Flown]) -> dict[str, str]:
+    """Return a colour for each member, by name, that flew in any of the flights; the first to fly comes first."""
+    order: dict[str, None] = {}
     for one in flown:
-        if one.adaptation.active.size:
-            order.update(dict.fromkeys(int(i) for i in one.adaptation.active[[0]]))
-            order.update(dict.fromkeys(s.member for s in one.adaptation.switches))
-            order.update(dict.fromkeys(int(i) for i in np.unique(one.adaptation.active)))
+        names, active = one.adaptation.members, one.adaptation.active
+        if active.size:
+            indices = [active[0], *(s.member for s in one.adaptation.switches), *np.unique(active)]
+            order.update(dict.fromkeys(names[i] for i in indices))
     return {member: CAST_COLOURS[i % len(CAST_COLOURS)] for i, member in enumerate(order)}
 
 

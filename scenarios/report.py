@@ -113,7 +113,7 @@ def _facts(results: Sequence[Result]) -> list[tuple[str, Any]]:
     """Return what a reader needs to fly it again; no date, so that equal flights give equal pages."""
     job = results[0].job
     return [
-        ("population", f"{job.population.name} ({len(results[0].adaptation.members)} members)"),
+        ("population", f"{job.population.name} ({max(len(r.adaptation.members) for r in results)} members)"),
         ("duration", f"{job.flight.duration:g} s at 100 Hz, {'real time' if job.realtime else 'lockstep'}"),
         ("references", ", ".join(dict.fromkeys(r.job.reference.name for r in results))),
         ("seeds of the bridge", ", ".join(dict.fromkeys(str(r.job.flight.seed) for r in results))),

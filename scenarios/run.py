@@ -214,12 +214,13 @@ def _fly_processes(job: Job, stop: threading.Event, moved: Callable[[float], Non
     flight.write_text(to_toml(job.flight))
     reference.write_bytes(csv_bytes(job.reference.rows))
     port = free_port()
+    who = ["--law", job.mode.law] if job.mode.law else ["--population", str(job.population)]
     clock = ["--realtime"] if job.realtime else []
     runtime = Process(
         "runtime",
         "runtime",
         [
-            *("--link", f"udpin:127.0.0.1:{port}", "--population", str(job.population), "--reference", str(reference)),
+            *("--link", f"udpin:127.0.0.1:{port}", *who, "--reference", str(reference)),
             *("--preset", job.mode.preset, "--switch", job.mode.switch, "--log", str(log), *clock),
         ],
         folder / "runtime.log",

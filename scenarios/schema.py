@@ -25,6 +25,8 @@ class Mode(NamedTuple):
     name: str
     preset: Literal["thesis", "understudy"]
     switch: Literal["none", "hard", "soft"]
+    law: Literal["pid", "indi", "indi-rls-signfree"] | None = None
+    """A classical law that flies in the population's place (docs/laws.md)."""
 
 
 MODES: dict[str, Mode] = {
@@ -39,7 +41,19 @@ MODES: dict[str, Mode] = {
 }
 """``none`` flies the champion throughout; ``thesis`` is chapter 8 as published, ``understudy`` what we recommend."""
 
-ModeName = Literal["none", "thesis-hard", "thesis-soft", "understudy-hard", "understudy-soft"]
+PEERS: dict[str, Mode] = {
+    "pid": Mode("pid", "understudy", "none", "pid"),
+    "indi": Mode("indi", "understudy", "none", "indi"),
+    "indi-rls-signfree": Mode("indi-rls-signfree", "understudy", "none", "indi-rls-signfree"),
+}
+"""Classical laws on the same link, references and faults; flown when they are asked for."""
+
+CHOICES = MODES | PEERS
+"""Every mode that can be flown."""
+
+ModeName = Literal[
+    "none", "thesis-hard", "thesis-soft", "understudy-hard", "understudy-soft", "pid", "indi", "indi-rls-signfree"
+]
 
 
 class References(Settings, frozen=True):
@@ -66,8 +80,8 @@ class Scenario(Settings, frozen=True):
     """The bridge's side: duration, condition, wind, sensors, faults, seed."""
     references: References = References()
     """The references; the pitch reference of ``base`` and ``random`` is added to the trim pitch."""
-    modes: tuple[ModeName, ...] = get_args(ModeName)
-    """Which modes are flown, all on the same references."""
+    modes: tuple[ModeName, ...] = get_args(ModeName)[: len(MODES)]
+    """Which modes are flown, all on the same references; the classical laws only when they are named."""
     population: str = "serl10"
     """The cast: a folder, or the name of one under ``populations/``."""
 
@@ -93,7 +107,7 @@ def load_scenario(path: Path) -> Scenario:
     scenario = load_toml(path, Scenario, "scenario")
     references = scenario.references
     if not scenario.modes:
-        raise UserError(f"{path}: modes: expected at least one of {', '.join(MODES)}, got none")
+        raise UserError(f"{path}: modes: expected at least one of {', '.join(CHOICES)}, got none")
     if len(set(scenario.modes)) < len(scenario.modes):
         raise UserError(f"{path}: modes: expected each mode once, got {', '.join(scenario.modes)}")
     if references.source == "file" and references.file is None:
