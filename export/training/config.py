@@ -113,8 +113,9 @@ class TaskSettings(Settings, frozen=True):
 
     duration: Positive = 20.0
     """T_max [s]."""
-    family: FamilyName = "training"
-    """References of one generation are common to all its actors."""
+    family: FamilyName | Literal["published"] = "training"
+    """References, common to all actors of a generation: ``training`` as in the text (theta +-25, phi +-45 deg),
+    ``published`` as in the published runs (theta +-30, phi +-20 deg), or another family of ``task.reference``."""
     altitude: Positive = 2000.0
     """Trim altitude [m]."""
     speed: Positive = 90.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from sim_bridge.plant import Plant
 from task.limits import DT
 from task.metrics import smoothness
 from task.observation import observation
-from task.reference import FamilyName, random_reference
+from task.reference import Family, FamilyName, cosine_steps, n_samples, random_reference
 from task.reward import crash_penalty, terminated, tracking_reward, unsafe
-from task.state import N_ACTION, N_OBSERVATION, N_REFERENCE, N_STATE, STATE
+from task.state import N_ACTION, N_OBSERVATION, N_REFERENCE, N_STATE, REFERENCE, STATE
 
 
 class Flights(NamedTuple):
@@ -51,12 +51,29 @@ class Flights(NamedTuple):
         return result
 
 
+PUBLISHED = Family(np.deg2rad(30.0), np.deg2rad(20.0), 5, 1 / 6, 10)
+"""The training references of the published runs; the text has 25 and 45 deg (``task.reference``)."""
+
+
 def draw_references(
-    rng: np.random.Generator, count: int, duration: float, theta_trim: float, family: FamilyName
+    rng: np.random.Generator, count: int, duration: float, theta_trim: float, family: FamilyName | Literal["published"]
 ) -> np.ndarray:
     """Draw references (count, T + 1, 3) [rad]; the last sample is held, for the state that follows it."""
-    drawn = np.stack([random_reference(rng, duration, theta_trim, family) for _ in range(count)])
+    if family == "published":
+        drawn = np.stack([_published_reference(rng, duration, theta_trim) for _ in range(count)])
+    else:
+        drawn = np.stack([random_reference(rng, duration, theta_trim, family) for _ in range(count)])
     return np.concatenate([drawn, drawn[:, -1:]], axis=1)
+
+
+def _published_reference(rng: np.random.Generator, duration: float, theta_trim: float) -> np.ndarray:
+    """Draw one reference (T, 3) [rad] of the family PUBLISHED."""
+    reference = np.zeros((n_samples(duration), N_REFERENCE))
+    for channel, amplitude in ((REFERENCE.theta, PUBLISHED.theta), (REFERENCE.phi, PUBLISHED.phi)):
+        levels = rng.choice(np.linspace(-amplitude, amplitude, PUBLISHED.levels or 2), PUBLISHED.blocks + 1)
+        reference[:, channel] = cosine_steps(levels, duration, duration * PUBLISHED.smoothing)
+    reference[:, REFERENCE.theta] += theta_trim
+    return reference
 
 
 class Fleet:
