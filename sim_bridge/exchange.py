@@ -90,6 +90,7 @@ class _Base:
         self._action = ends.initial_command
         self._connected = False
         self._sent_again = -1
+        self._repeated_answer = -1
         self._late_run = 0
         self._sent_at = 0.0
         self.echo = -1
@@ -109,11 +110,13 @@ class _Base:
         if command.time_us == time_us:
             return True
         # A state that was sent again is answered again, and a runtime that misses a state repeats itself: no fault.
-        self._counts.stale += command.time_us not in (self._sent_again, self.echo)
+        self._counts.stale += command.time_us not in (self._repeated_answer, self.echo)
         return False
 
     def _accept(self, command: Command) -> None:
         """Put a command into force; a refused one leaves the last in force."""
+        if command.time_us == self._sent_again:
+            self._repeated_answer = command.time_us
         if command.action is not None:
             self._action = command.action
             self.echo = command.time_us
