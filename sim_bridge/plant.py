@@ -97,6 +97,7 @@ class Plant:
         self.effects = Effects(fdm)
         self.actuators = Actuators(dt)
         self._x = np.zeros(N_STATE)
+        self._buffer = self._x.data
         self._trims: dict[FlightCondition, Trim] = {}
         self.reset()
 
@@ -197,7 +198,7 @@ class Plant:
         self._psi += (psi - self._psi + math.pi) % _TURN - math.pi
         # Packed at once, in the order of STATE: twelve assignments would double the cost of a step.
         _PACK(
-            self._x,
+            self._buffer,
             0,
             p,
             q,
