@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import time
 from collections.abc import Sequence
@@ -99,6 +100,7 @@ def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
 @click.option("--jobs", type=click.IntRange(min=1, max=64),
               help="Flights side by side.  [default: 2; in real time 1]")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Fly everything again, also what was flown before from the same inputs.")
+@click.option("--picture", type=Path, help="Copy the picture of the modes side by side here, as for a README.")
 def fly(
     scenario: str,
     modes: str | None,
@@ -108,6 +110,7 @@ def fly(
     realtime: bool,
     jobs: int | None,
     fresh: bool,
+    picture: Path | None,
 ) -> None:
     """Fly SCENARIO, a file or a name from --list, over MAVLink in several modes; print a table, write a report."""
     began = time.monotonic()
@@ -128,6 +131,9 @@ def fly(
         raise SystemExit(INTERRUPTED) from None
     print_table(screen, script.title, summarise(scores_by_mode(results)))
     report = write_report(script, results, where)
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(where / "figures" / "comparison.png", picture)
     screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {report}")
 
 

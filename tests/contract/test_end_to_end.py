@@ -21,7 +21,10 @@ from scenarios.references import build
 from scenarios.run import Job, fly, fly_all, plan
 from scenarios.schema import MODES, Scenario
 from scenarios.trace import read_log
+from sim_bridge.air import Air
+from sim_bridge.faults import CGShift
 from sim_bridge.flight import Flight
+from sim_bridge.sensors import SensorSettings
 from task.errors import UserError
 from task.state import REFERENCE, TRACKED
 
@@ -31,8 +34,13 @@ MODE_NAMES = ("none", "thesis-hard", "understudy-soft")
 Damage = Callable[[str, Callable[[bytes], bytes]], Path]
 
 
-def jobs(cast: Path, out: Path, seconds: float = SECONDS) -> list[Job]:
-    scenario = Scenario(title="t", flight=Flight(duration=seconds))
+FAULT_AT = 4.0
+FAULT = CGShift(aft=0.25, start=FAULT_AT)
+NOISE = SensorSettings(noise={"p": 6.3e-4, "q": 6.3e-4, "r": 6.3e-4}, bias={"theta": 4e-3})
+
+
+def jobs(cast: Path, out: Path, seconds: float = SECONDS, **flight: object) -> list[Job]:
+    scenario = Scenario(title="t", flight=Flight(duration=seconds, **({"faults": (FAULT,)} | flight)))
     return plan(scenario.flight, build(scenario, out), [MODES[name] for name in MODE_NAMES], cast, out)
 
 
@@ -54,8 +62,14 @@ def test_every_mode_flies_to_the_end_and_follows(flying_cast: Path, flown: Path)
         error = result.flight.reference - result.flight.x[:, TRACKED]
         assert np.abs(error[:, REFERENCE.phi]).mean() < np.deg2rad(3.0)
         assert 0.0 < result.score.nmae < 40.0
-        # What the runtime saw is what was true, to float32, tick by tick.
-        assert len(result.adaptation.time) == len(result.flight.time)
+        assert result.flight.fault_at == pytest.approx(FAULT_AT)
+        assert result.score.nmae_before is not None
+        assert result.score.nmae_after is not None
+        np.testing.assert_array_equal(result.adaptation.time, result.flight.time)
+        at_fault = result.adaptation.time == FAULT_AT + 0.02
+        quiet = (result.adaptation.time > 3.0) & (result.adaptation.time < FAULT_AT)
+        surprise = np.abs(result.adaptation.innovation[:, result.adaptation.innovation_names.index("q")])
+        assert surprise[at_fault] > 10.0 * surprise[quiet].max()  # the model did not foresee the fault
 
 
 def test_a_better_member_takes_over_where_the_runtime_may(flying_cast: Path, flown: Path) -> None:
@@ -73,6 +87,18 @@ def test_the_same_flight_twice_is_the_same_bit_for_bit(flying_cast: Path, flown:
     for first, second in zip(jobs(flying_cast, flown), again, strict=True):
         for name in ("flight.ulg", "truth.npz", "reference.csv", "flight.toml"):
             assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes(), (first.name, name)
+
+
+def test_noise_and_turbulence_are_the_same_for_the_same_seed(flying_cast: Path, tmp_path: Path) -> None:
+    rough = {"sensors": NOISE, "air": Air(turbulence="light")}
+    first, second, other = (
+        jobs(flying_cast, tmp_path / name, 4.0, seed=seed, **rough)[-1]
+        for name, seed in (("first", 5), ("second", 5), ("other", 6))
+    )
+    fly_all([first, second, other])
+    for name in ("flight.ulg", "truth.npz"):
+        assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes()
+        assert (first.folder / name).read_bytes() != (other.folder / name).read_bytes()
 
 
 def test_other_inputs_are_flown_anew_and_fresh_means_fresh(flying_cast: Path, flown: Path) -> None:

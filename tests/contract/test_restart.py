@@ -23,7 +23,9 @@ from task.reward import terminated
 SECONDS = 30.0
 TIMEOUT = 90.0
 KILLED_AT = 3.0
-"""How far the flight is, at least, when a side is killed [s]; it takes several seconds of wall clock to its end."""
+"""About how far the flight is when a side is killed [s]; it takes several seconds of wall clock to its end."""
+EARLIEST = 2.5
+"""At least how far it is, as its log's size says it to a few percent [s]."""
 
 
 class Stage:
@@ -107,7 +109,7 @@ def test_the_runtime_is_killed_and_started_again(stage: Stage) -> None:
     assert len(flight.time) == flight.planned_samples  # no tick was lost: simulated time stood still
     assert not terminated(flight.x).any()
     before, after = read_log(stage.folder / "first.ulg"), read_log(stage.folder / "second.ulg")
-    assert KILLED_AT < before.time[-1] < after.time[-1]
+    assert EARLIEST < before.time[-1] < after.time[-1]
     assert after.time[-1] == pytest.approx(SECONDS - 0.01)
     # The second one took over in its place in the reference, at most a flush after the last that was recorded.
     assert 0.0 < after.time[0] - before.time[-1] <= 0.3
@@ -149,7 +151,7 @@ def test_a_bridge_left_alone_ends_with_one_line(stage: Stage) -> None:
     assert bridge.wait(TIMEOUT) == 2
     assert "no answer from 127.0.0.1" in stage.said("truth").strip().splitlines()[-1]
     flight = read_truth(stage.folder / "truth.npz", stage.rows)  # what was flown is saved
-    assert flight.time[-1] > KILLED_AT
+    assert flight.time[-1] > EARLIEST
 
 
 def test_a_runtime_left_alone_ends_with_one_line(stage: Stage) -> None:
@@ -158,4 +160,4 @@ def test_a_runtime_left_alone_ends_with_one_line(stage: Stage) -> None:
     os.kill(bridge.pid, signal.SIGKILL)
     assert runtime.wait(TIMEOUT) == 3  # after its patience of 15 s
     assert "fell silent" in stage.said("log").strip().splitlines()[-1]
-    assert read_log(stage.folder / "log.ulg").time[-1] > KILLED_AT
+    assert read_log(stage.folder / "log.ulg").time[-1] > EARLIEST
