@@ -29,6 +29,7 @@ class Effects:
         """Hold the properties of ``fdm``; the aircraft is left as it is."""
         node = fdm.get_property_manager().get_node
         self._gust = tuple(node(f"atmosphere/gust-{axis}-fps") for axis in ("north", "east", "down"))
+        self._upright = node("atmosphere/gust-keeps-lift-upright")
         self._turbulence = node("atmosphere/turb-type")
         self._wind_at_20ft = node("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps")
         self._severity = node("atmosphere/turbulence/milspec/severity")
@@ -47,10 +48,11 @@ class Effects:
         self._wind_at_20ft.set_double_value(wind / FT)
         self._severity.set_double_value(severity)
 
-    def set_gust(self, north: float, east: float, down: float) -> None:
-        """Set the gust, added to the wind [m/s]."""
+    def set_gust(self, north: float, east: float, down: float, upright: bool = False) -> None:
+        """Set the gust, added to the wind [m/s]; ``upright``: it changes the size of lift, not its direction."""
         for node, value in zip(self._gust, (north, east, down), strict=True):
             node.set_double_value(value / FT)
+        self._upright.set_double_value(float(upright))
 
     def set_cg_shift(self, aft: float) -> None:
         """Move the centre of gravity aft of nominal [m]; negative moves it forward."""

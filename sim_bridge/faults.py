@@ -8,93 +8,23 @@ take the tightest, a later jam wins. Angles are in degrees here, as a person wri
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 
-from sim_bridge.actuators import FREE_STOP, Surface
-from sim_bridge.effects import CLEAN_ALPHA_MAX, ENGINE_ARM, NO_ALPHA_LIMIT
+from sim_bridge.actuators import FREE_STOP
+from sim_bridge.effects import CLEAN_ALPHA_MAX, ENGINE_ARM
+from sim_bridge.fault import Condition, Fault, NotNegative
 from sim_bridge.sensors import SignalName
-from task.config import Settings
 from task.state import ACTION, N_ACTION, STATE
 
 SurfaceName = Literal["elevator", "aileron", "rudder"]
 SURFACES: dict[str, int] = {"elevator": ACTION.de, "aileron": ACTION.da, "rudder": ACTION.dr}
 
-NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Delay = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 Row = tuple[float, float, float]
-
-SAME_TIME = 1e-9
-"""Times closer than this are one [s]."""
-
-
-@dataclass
-class Condition:
-    """What all faults together make of the aircraft at one moment; starts nominal."""
-
-    surfaces: list[Surface] = field(default_factory=lambda: [Surface() for _ in range(N_ACTION)])
-    mixing: np.ndarray = field(default_factory=lambda: np.eye(N_ACTION))
-    cg_shift: float = 0.0
-    drag: float = 0.0
-    alpha_max: float = NO_ALPHA_LIMIT
-    gust: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    thrust: list[float] = field(default_factory=lambda: [1.0, 1.0])
-    engine_arm: float = ENGINE_ARM
-    yaw_damper: bool = True
-    noise: dict[int, float] = field(default_factory=dict)
-    bias: dict[int, float] = field(default_factory=dict)
-    delay: float = 0.0
-    stuck: set[int] = field(default_factory=set)
-
-
-class Fault(Settings, frozen=True, kw_only=True, tag_field="kind"):
-    """When a fault acts: from ``start``, for good or until ``end``, growing and fading over ``ramp``."""
-
-    start: NotNegative = 0.0
-    """When it begins [s]."""
-    end: NotNegative | None = None
-    """When it begins to go away [s]; none: it stays."""
-    ramp: NotNegative = 0.0
-    """How long it takes to grow to its magnitude, and to go away again [s]; 0 is sudden."""
-
-    def __post_init__(self) -> None:
-        """Check what single fields cannot."""
-        if self.end is not None and self.end < self.start + self.ramp:
-            raise ValueError(
-                f"end: expected at least start + ramp = {self.start + self.ramp:g} s, got {self.end:g}; "
-                "let the fault grow before it goes away"
-            )
-
-    def level(self, time: float) -> float:
-        """Return how far it has grown at ``time`` [s], 0 to 1."""
-        grown = _ramp(time - self.start, self.ramp)
-        return grown if self.end is None else grown - _ramp(time - self.end, self.ramp)
-
-    def next_change(self, time: float) -> float:
-        """Return the earliest time from ``time`` on at which the level moves: itself while it ramps, inf when done."""
-        for edge in (self.start, self.end):
-            if edge is None:
-                break
-            if time < edge - SAME_TIME:
-                return edge
-            if time < edge + self.ramp - SAME_TIME:
-                return time
-        return math.inf
-
-    def apply(self, condition: Condition, level: float) -> None:
-        """Add to ``condition`` what the fault does at a level in (0, 1]."""
-        raise NotImplementedError
-
-
-def _ramp(elapsed: float, duration: float) -> float:
-    """Return 0 before, 1 after, and the straight line between."""
-    if elapsed < -SAME_TIME:
-        return 0.0
-    return 1.0 if elapsed >= duration - SAME_TIME else max(elapsed, 0.0) / duration
 
 
 class Effectiveness(Fault, frozen=True, kw_only=True, tag="effectiveness"):
@@ -266,11 +196,15 @@ class Gust(Fault, frozen=True, kw_only=True, tag="gust"):
     """Towards east [m/s]."""
     shape: Literal["linear", "cosine"] = "linear"
     """How it comes and goes over the ramp."""
+    as_reference: bool = False
+    """As the reference has gusts: lift and drag change in size but are still turned by the inertial angle of attack.
+    Otherwise the air turns them, as it would. Only for flights without steady wind."""
 
     def apply(self, condition: Condition, level: float) -> None:
         """Add the gust."""
         share = level if self.shape == "linear" else 0.5 * (1.0 - math.cos(math.pi * level))
         condition.gust += share * np.array([self.north, self.east, self.down])
+        condition.gust_upright |= self.as_reference
 
 
 class Engine(Fault, frozen=True, kw_only=True, tag="engine"):

@@ -19,7 +19,7 @@ F5: tuple[AnyFault, ...] = (Effectiveness(surface="elevator", factor=0.3),)
 """Elevator effectiveness x 0.3, trim deflection included."""
 F6: tuple[AnyFault, ...] = (Jam(surface="rudder", angle_deg=15.0),)
 """Rudder jammed at 15 degrees; the yaw damper keeps working."""
-R3_GUST: tuple[AnyFault, ...] = (Gust(start=20.0, end=23.0, down=15.0 * 0.3048),)
+R3_GUST: tuple[AnyFault, ...] = (Gust(start=20.0, end=23.0, down=15.0 * 0.3048, as_reference=True),)
 """Gust of 15 ft/s from 20 to 23 s. The thesis calls it upward; the reference's recording shows air that sinks."""
 R3_SENSORS = SensorSettings(
     noise={

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sim_bridge.faults import SAME_TIME, AnyFault, Condition
+from sim_bridge.fault import SAME_TIME, Condition
+from sim_bridge.faults import AnyFault
 from sim_bridge.plant import Plant
 from sim_bridge.sensors import Sensors
 
@@ -48,7 +49,7 @@ class FaultSchedule:
         effects.set_cg_shift(condition.cg_shift)
         effects.set_icing(condition.drag, condition.alpha_max)
         north, east, down = condition.gust.tolist()
-        effects.set_gust(north, east, down)
+        effects.set_gust(north, east, down, condition.gust_upright)
         left, right = condition.thrust
         effects.set_thrust(left, right, condition.engine_arm)
         effects.set_yaw_damper(condition.yaw_damper)

@@ -239,8 +239,8 @@ def validate(folder: Path = FOLDER, say: Callable[[str], None] = lambda line: No
             "The standard deviation is that of the recorded signal over all samples of all manoeuvres of the case.",
             "'Left out' means: the aerodynamics, thrust and engine speeds are fitted anew without that recording. The "
             "weights of the fit's smoothness were chosen by looking at these same figures.",
-            "Under the gust the two differ in V and theta: the reference adds it to the angle of attack but still "
-            "turns lift and drag by the inertial one; here they are turned by the angle to the air, as the air would.",
+            "The reference lets a gust change the size of lift and drag but not their direction; preset R3 does the "
+            "same, a gust is otherwise turned with the air.",
             "The speed is that of the machine of the day, shared with others; the ratio is what travels.",
         ],
     )
