@@ -52,6 +52,12 @@ class Fault(Settings, frozen=True, kw_only=True, tag_field="kind"):
 
     def __post_init__(self) -> None:
         """Check what single fields cannot."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(
+                    f"{name}: expected a finite number, got {value}; leave 'end' out for a fault that stays"
+                )
         if self.end is not None and self.end < self.start + self.ramp:
             raise ValueError(
                 f"end: expected at least start + ramp = {self.start + self.ramp:g} s, got {self.end:g}; "

@@ -45,6 +45,12 @@ class Mixing(Fault, frozen=True, kw_only=True, tag="mixing"):
     matrix: tuple[Row, Row, Row]
     """Row: effective elevator, aileron, rudder; column: deflection of elevator, aileron, rudder [-]."""
 
+    def __post_init__(self) -> None:
+        """Check the matrix."""
+        super().__post_init__()
+        if not np.isfinite(self.matrix).all():
+            raise ValueError(f"matrix: expected nine finite numbers, got {self.matrix}")
+
     def apply(self, condition: Condition, level: float) -> None:
         """Multiply the mixing."""
         identity = np.eye(N_ACTION)

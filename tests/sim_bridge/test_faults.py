@@ -104,7 +104,7 @@ def test_level_is_not_fooled_by_rounded_times() -> None:
 
 
 @settings(max_examples=100, deadline=None)
-@given(start=st.floats(0, 5), length=st.floats(0, 5), ramp=st.floats(0, 3), time=st.floats(0, 20))
+@given(start=st.floats(0, 5), length=st.floats(0, 5), ramp=st.just(0.0) | st.floats(1e-3, 3), time=st.floats(0, 20))
 def test_level_stays_between_nothing_and_all(start: float, length: float, ramp: float, time: float) -> None:
     timed = CGShift(aft=1.0, start=start, end=start + ramp + length, ramp=ramp)
     assert 0.0 <= timed.level(time) <= 1.0
@@ -255,6 +255,8 @@ def test_lost_engine_yaws_towards_it_and_slows(plant: Plant) -> None:
         ({"kind": "melt"}, r"invalid value 'melt'"),
         ({"kind": "gust", "start": 5.0, "end": 4.0}, r"expected at least start \+ ramp = 5 s, got 4"),
         ({"kind": "saturation", "surface": "rudder", "min_deg": 2.0, "max_deg": 1.0}, r"at most max_deg = 1, got 2"),
+        ({"kind": "effectiveness", "surface": "rudder", "factor": float("nan")}, r"factor: expected a finite number"),
+        ({"kind": "gust", "down": float("inf")}, r"down: expected a finite number"),
         ({"kind": "bandwidth", "surface": "rudder", "hz": 0.0}, r"> 0"),
         ({"kind": "cg_shift", "aft": "far"}, r"expected `float`, got `str`"),
         ({"kind": "jam", "surface": "flap"}, r"flap"),
