@@ -195,13 +195,13 @@ def main(name: str, seconds: float) -> None:
             ["frames simulated a second", round(plain_frames), round(frames), round(frames / plain_frames, 2)],
             ["critic updates a second", round(plain_updates), round(updates), round(updates / plain_updates, 2)],
             [
-                f"a frame stored: {evaluations} flown, 1 update [us]",
+                f"a frame stored: {evaluations} flown, 1 update, in us",
                 round(1e6 * published),
                 round(1e6 * same_work),
                 round(published / same_work, 2),
             ],
             [
-                f"a frame stored as configured: {ratio:g} updates [us]",
+                f"a frame stored as configured: {ratio:g} updates, in us",
                 round(1e6 * published),
                 round(1e6 * as_configured),
                 round(published / as_configured, 2),

@@ -145,6 +145,18 @@ def test_references_are_seeded_and_hold_their_last_sample(fleet: Fleet) -> None:
     assert not np.array_equal(first, evaluation_references(fleet, 6, 2))
 
 
+def test_published_references_keep_to_their_levels() -> None:
+    drawn = draw_references(np.random.default_rng(0), 40, 20.0, 0.05, "published")
+    theta, phi = drawn[..., 0] - 0.05, drawn[..., 1]
+    assert np.abs(theta).max() <= np.deg2rad(30.0) + 1e-9
+    assert np.rad2deg(np.abs(theta).max()) == pytest.approx(30.0, abs=0.1)
+    assert np.rad2deg(np.abs(phi).max()) == pytest.approx(20.0, abs=0.1)
+    assert not drawn[..., 2].any()
+    held = theta[:, 399]  # the first level, reached after 20/6 s and held until 4 s
+    steps = held / np.deg2rad(60.0 / 9.0) + 4.5
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
 def test_account_of_flights() -> None:
     reward = np.full((4, 1, 2), -1.0, dtype=np.float32)
     flights = Flights(
