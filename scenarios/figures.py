@@ -29,6 +29,7 @@ from scenarios.panels import (
     predicted_returns,
     shade_fault,
     tracking,
+    verdict,
     who_flies,
 )
 from task.state import ACTION, REFERENCE, TRACKED
@@ -100,8 +101,8 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
             for ax in (left, middle, right):
                 shade_fault(ax, one.flight, label=ax is left)
             mark_switches(left, one.adaptation)
-            mark_loss(left, one.score)
-            left.set_title(f"{one.mode}   nMAE {one.score.nmae:.2f} %", color=colour(one.mode), pad=7)
+            mark_loss(left, one)
+            left.set_title(f"{one.mode}   {verdict(one.score)}", color=colour(one.mode), pad=7)
         _shared_limits(axes, flown)
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
@@ -158,7 +159,7 @@ def detail(flown: Flown, title: str) -> Figure:
                 ax.tick_params(labelbottom=False)
         for ax in (first, right[0]):
             mark_switches(ax, flown.adaptation)
-        mark_loss(first, flown.score)
+        mark_loss(first, flown)
         for ax in (left[-1], right[-1]):
             ax.set_xlabel("time [s]")
         full_time(first, flown.flight)

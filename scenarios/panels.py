@@ -71,6 +71,11 @@ class Flown:
     score: Score
 
 
+def verdict(score: Score) -> str:
+    """Return how a flight went, in a few words for a title."""
+    return f"nMAE {score.nmae:.2f} %" if score.lost_at is None else f"lost at {score.lost_at:.1f} s"
+
+
 def colour(mode: str) -> str:
     """Return the colour of a mode."""
     return MODE_COLOURS.get(mode, "#009E73")
@@ -89,14 +94,18 @@ def shade_fault(ax: Axes, flight: FlightTrace, label: bool = False) -> None:
         )  # fmt: skip
 
 
-def mark_loss(ax: Axes, score: Score) -> None:
+def mark_loss(ax: Axes, flown: Flown) -> None:
     """Mark where the aircraft was lost."""
-    if score.lost_at is not None:
-        ax.axvline(score.lost_at, color=INK, lw=1.2, ls=(0, (1, 1.5)))
-        ax.annotate(
-            f"lost at {score.lost_at:.1f} s", (score.lost_at, 0.03), (-3, 0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="right", va="bottom", fontsize=8, fontweight="bold", color=INK,
-        )  # fmt: skip
+    lost_at = flown.score.lost_at
+    if lost_at is None:
+        return
+    late = lost_at > 0.75 * flown.flight.planned_samples * DT
+    ax.axvline(lost_at, color=INK, lw=1.2, ls=(0, (1, 1.5)))
+    ax.annotate(
+        f"lost at {lost_at:.1f} s", (lost_at, 0.5), (-4 if late else 4, 0), xycoords=("data", "axes fraction"),
+        textcoords="offset points", ha="right" if late else "left", va="center", fontsize=8, fontweight="bold",
+        color=INK,
+    )  # fmt: skip
 
 
 def mark_switches(ax: Axes, adaptation: AdaptationTrace) -> None:

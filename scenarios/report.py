@@ -10,7 +10,7 @@ from typing import Any
 import jinja2
 
 from scenarios.figures import comparison, detail, save
-from scenarios.panels import MODE_COLOURS, Flown
+from scenarios.panels import MODE_COLOURS, Flown, verdict
 from scenarios.run import Result
 from scenarios.schema import Scenario, to_toml
 from scenarios.score import Score
@@ -84,8 +84,7 @@ def _pictures(
     which = f"reference {references[0]}" + (f", the first of {len(references)}" if len(references) > 1 else "")
     drawn = [("Modes side by side", "comparison", comparison(flown, scenario.title))]
     for one in flown:
-        ended = "" if one.score.lost_at is None else f", lost at {one.score.lost_at:.1f} s"
-        title = f"{one.mode}: nMAE {one.score.nmae:.2f} %{ended}"
+        title = f"{one.mode}: {verdict(one.score)}"
         drawn.append((title, one.mode, detail(one, title)))
     pictures = []
     for title, name, figure in drawn:

@@ -43,6 +43,8 @@ class Row(NamedTuple):
     """Mean number of changes of the cast, lost flights included."""
     late: int
     """Late ticks of all flights together."""
+    lost_at: float | None
+    """Mean time at which the lost flights were lost [s]."""
 
 
 COLUMNS: dict[str, tuple[str, str]] = {
@@ -62,6 +64,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "switches": ("switches", ".1f"),
     "late": ("late", "d"),
     "lost": ("lost", "d"),
+    "lost_at": ("lost at s", ".1f"),
 }
 """Field of :class:`Row`, its heading and how it is written."""
 
@@ -115,6 +118,7 @@ def _row(mode: str, scores: list[Score], paired: list[float]) -> Row:
         step=max((s.largest_step_deg for s in kept), default=None),
         switches=statistics.fmean(s.switches for s in scores) if scores else 0.0,
         late=sum(s.late_ticks for s in scores),
+        lost_at=_mean([s.lost_at for s in scores]),
     )
 
 

@@ -42,6 +42,7 @@ def test_rows_are_means_over_what_was_not_lost() -> None:
     assert (soft.nmae, soft.worst, soft.lost) == (pytest.approx(14.0), 22.0, 0)
     assert (soft.change, soft.worst_change) == (pytest.approx(-20.0), pytest.approx(10.0))
     assert (soft.switches, soft.late, soft.step) == (pytest.approx(2.0), 2, 0.7)
+    assert (none.lost_at, soft.lost_at, hard.lost_at) == (12.0, None, 3.0)
     assert (hard.nmae, hard.worst, hard.lost, hard.step) == (None, None, 3, None)
 
 
