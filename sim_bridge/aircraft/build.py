@@ -47,23 +47,32 @@ def table(term: Term) -> str:
     return "\n".join([*lines, "  </tableData>", "</table>"])
 
 
-def expression(term: Term) -> str:
-    """Return one term: a table or a constant, times its factors."""
-    body = table(term) if term.axes else f"<value>{_number(term.values[0])}</value>"
-    if not term.factors:
-        return body
-    factors = "".join(f"<property>{VARIABLES[name].property}</property>" for name in term.factors)
-    return f"<product>\n{_indent(body, 1)}\n  {factors}\n</product>"
+def _product(name: str, body: str) -> str:
+    return f"<product>\n  <property>{VARIABLES[name].property}</property>\n{_indent(body, 1)}\n</product>"
 
 
 def total(terms: list[Term]) -> str:
-    """Return the sum of terms, each under its name; zero for none."""
-    if not terms:
-        return "<value>0</value>"
-    parts = [f"<!-- {term.name} -->\n{expression(term)}" for term in terms]
+    """Return the sum of terms, each under its name; zero for none.
+
+    Terms that share a factor are summed before they are multiplied by it, and so on inside: JSBSim then reads half
+    as many properties in a frame.
+    """
+    return _nested([(term, term.factors) for term in terms])
+
+
+def _nested(terms: list[tuple[Term, list[str]]]) -> str:
+    """Return the sum of terms times what is left of their factors."""
+    parts, groups = [], dict[str, list[tuple[Term, list[str]]]]()
+    for term, factors in terms:
+        if factors:
+            groups.setdefault(factors[0], []).append((term, factors[1:]))
+        else:
+            value = table(term) if term.axes else f"<value>{_number(term.values[0])}</value>"
+            parts.append(f"<!-- {term.name} -->\n{value}")
+    parts += [_product(name, _nested(group)) for name, group in groups.items()]
     if len(parts) == 1:
         return parts[0]
-    return "<sum>\n" + _indent("\n".join(parts), 1) + "\n</sum>"
+    return "<sum>\n" + _indent("\n".join(parts), 1) + "\n</sum>" if parts else "<value>0</value>"
 
 
 def _function(name: str, body: str, comment: str) -> str:

@@ -45,7 +45,8 @@ def build() -> None:
 @aircraft.command()
 @click.option("--recordings", type=click.Path(path_type=Path), help="Folder of <case>/<manoeuvre>.npz.")
 def validate(recordings: Path | None) -> None:
-    """Compare the aircraft with its reference; write results/aircraft.json."""
+    """Compare the aircraft with its reference; write results/aircraft.json and the page's tables."""
+    from sim_bridge.aircraft import page
     from sim_bridge.aircraft import recordings as records
     from sim_bridge.aircraft.show import show
     from sim_bridge.aircraft.validate import validate
@@ -55,3 +56,6 @@ def validate(recordings: Path | None) -> None:
     for line in show(result):
         click.echo(line)
     click.echo(write("aircraft", result, RESULTS))
+    if page.PAGE.exists():
+        page.PAGE.write_text(page.replace(page.PAGE.read_text(), result))
+        click.echo(page.PAGE)

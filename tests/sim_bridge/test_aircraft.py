@@ -1,11 +1,13 @@
 """The identified aircraft: generated files, the fit's machinery, and a compact regression against the reference."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from sim_bridge import presets
-from sim_bridge.aircraft import build, identify, recordings, spools, structure
+from sim_bridge.aircraft import build, identify, page, recordings, spools, structure
 from sim_bridge.aircraft.cli import aircraft
 from sim_bridge.aircraft.coefficients import Spool, Term, evaluate, load
 from sim_bridge.aircraft.fly import SIGNALS, deviation, fly_window
@@ -14,6 +16,7 @@ from sim_bridge.aircraft.targets import moment_samples
 from sim_bridge.conditions import NOMINAL
 from sim_bridge.plant import Plant
 from task.errors import UserError
+from task.results import Result, read
 from task.state import STATE
 
 
@@ -150,3 +153,15 @@ def test_command_builds_what_is_committed() -> None:
     outcome = CliRunner().invoke(aircraft, ["build"])
     assert outcome.exit_code == 0, outcome.output
     assert outcome.output.strip().endswith("citation.xml")
+
+
+def test_page_shows_what_was_measured() -> None:
+    root = Path(__file__).parents[2]
+    text = (root / page.PAGE).read_text()
+    assert page.replace(text, read(root / "results" / "aircraft.json")) == text
+
+
+def test_page_without_marks_is_one_clear_line() -> None:
+    result = Result(title="", command="", seconds=0.0, runs=0, seeds=[], claims=[])
+    with pytest.raises(UserError, match="measured: begin"):
+        page.replace("nothing here", result)
