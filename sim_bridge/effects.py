@@ -17,7 +17,7 @@ _NO_TURBULENCE, _MILSPEC_TURBULENCE = 0, 3
 CLEAN_ALPHA_MAX = math.radians(11.0)
 """Largest angle of attack of the clean wing in the reference [rad]; 70 % of it is where its iced lift freezes."""
 ENGINE_ARM = 1.5
-"""Distance of an engine from the plane of symmetry [m]: read off drawings of the aircraft, not identified."""
+"""Distance of an engine from the plane of symmetry [m]: an estimate, not identified."""
 NO_ALPHA_LIMIT = 1.0
 """Angle of attack of a clean wing's icing limit [rad]: never reached."""
 
