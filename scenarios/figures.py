@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Patch
+from PIL import Image
 
 from scenarios.panels import (
     INK,
@@ -75,10 +76,13 @@ def _title(figure: Figure, title: str, tone: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG; the file holds no date, so that equal flights give equal pictures."""
+    """Write a figure as PNG of 256 colours; it holds no date, so that equal flights give equal pictures."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    FigureCanvasAgg(figure)
-    figure.savefig(path, metadata={"Software": None})
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(float(STYLE["savefig.dpi"]))
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
 
 
