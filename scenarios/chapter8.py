@@ -1,5 +1,4 @@
-"""Chapter 8 on many references: the sudden CG shift without adaptation, with both recipes, hard and soft, and
-under the classical laws.
+"""Chapter 8 on many references: the sudden CG shift in every mode, classical laws included.
 
 ``python -m scenarios.chapter8`` flies scenarios/cg_shift.toml over MAVLink and writes results/chapter8.json.
 """
