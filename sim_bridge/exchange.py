@@ -173,6 +173,8 @@ class Lockstep(_Base):
         if not self._connected:
             self._await_runtime(time_us)
             return self._action
+        if self._stopped():  # a runtime that answers at once leaves no pause to ask in
+            raise StoppedError
         self._sent_at = time.perf_counter()
         if not self._wait(time_us):
             lost = self._link.refused
