@@ -21,10 +21,12 @@ from export.prior import COMMAND_LAG, Prior
 from task.config import to_json
 from task.errors import UserError
 from task.model import embed_reduced
+from task.rates import RATE_MODEL_VERSION, RateModel
 
 BEHAVIOUR = "behaviour.onnx"
 IMAGINATION = "imagination.onnx"
 PRIOR = "model_prior.npz"
+RATES = "rate_model.npz"
 TRAINING = "training"
 
 
@@ -40,9 +42,11 @@ def write_population(
     folder: Path,
     records: Mapping[str, Path] | None = None,
     lag: int = COMMAND_LAG,
+    rates: RateModel | None = None,
 ) -> Manifest:
     """Write ``folder``; return its manifest.
 
+    rates: model that the runtime needs to find the effectiveness of the surfaces; a population flies without it.
     records: files copied to ``training/`` under their names. The folder appears complete, checked against its own
     golden samples, or does not appear; an older population of that name is replaced. Raises UserError when the
     population does not hold together or ``folder`` holds something else.
@@ -54,6 +58,8 @@ def write_population(
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
         made = Path(temporary) / "new"
         made.mkdir()
+        if rates is not None:
+            np.savez(made / RATES, version=RATE_MODEL_VERSION, drift=rates.drift, effect=rates.effect)
         manifest = _fill(made, population, prior, folder.name, records or {}, lag)
         verify(made, manifest, population, prior)
         if folder.exists():

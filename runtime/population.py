@@ -16,6 +16,7 @@ from task.config import convert, read_bytes
 from task.errors import UserError
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
 from task.observation import observation
+from task.rates import RATE_MODEL_VERSION, RateModel, shapes
 from task.state import N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE
 
 MANIFEST = "manifest.json"
@@ -23,6 +24,10 @@ PARAMETERS = "parameters.npy"
 BEHAVIOUR = "behaviour.onnx"
 IMAGINATION = "imagination.onnx"
 PRIOR = "model_prior.npz"
+RATES = "rate_model.npz"
+
+PROBE_SIZE = 0.2
+"""Largest error, rate and angle of attack at which members are compared [rad, rad/s]: those of a lively flight."""
 
 IMAGINATION_INPUTS = ("x", "dx", "commands", "model", "exact_kinematics", "reference", "incumbent")
 
@@ -43,6 +48,8 @@ class Population(NamedTuple):
     """(11, 11): its uncertainty."""
     sha256: str
     """Hash of the manifest, and so of everything: which cast flew."""
+    rates: RateModel | None = None
+    """Model of the angular accelerations (:mod:`task.rates`); None when the population was exported without."""
 
     @property
     def name(self) -> str:
@@ -112,6 +119,7 @@ def load_population(folder: Path) -> Population:
         theta,
         p0,
         hashlib.sha256(raw).hexdigest(),
+        _rates(_verified(folder, RATES, manifest), folder / RATES) if RATES in manifest.files else None,
     )
     _check_behaviour(population, folder / BEHAVIOUR)
     _check_imagination(population, folder / IMAGINATION)
@@ -164,6 +172,35 @@ def _prior(content: bytes, path: Path) -> tuple[np.ndarray, np.ndarray]:
     if theta.shape != (n, m) or p0.shape != (n, n) or not (np.isfinite(theta).all() and np.isfinite(p0).all()):
         raise UserError(f"{path}: expected finite theta {(n, m)} and p0 {(n, n)}, got {theta.shape} and {p0.shape}")
     return theta, p0
+
+
+def probe(population: Population, count: int = 32, seed: int = 0) -> np.ndarray:
+    """Return what every member commands on the same ``count`` random observations, (P, count, 3) [rad]."""
+    policy = BehaviouralPolicy(population)
+    observations = np.random.default_rng(seed).uniform(-PROBE_SIZE, PROBE_SIZE, (count, N_OBSERVATION))
+    actions = np.zeros((len(population.members), count, N_ACTION))
+    for member, answers in enumerate(actions):
+        np.copyto(policy.parameters, population.parameters[member])
+        for s, answer in zip(observations, answers, strict=True):
+            answer[:] = policy.act(s)
+    return actions
+
+
+def _rates(content: bytes, path: Path) -> RateModel:
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            version = int(arrays["version"])
+            model = RateModel(*(np.asarray(arrays[name], float) for name in RateModel._fields))
+    except Exception as error:  # zip, npy and key errors share no base
+        raise UserError(f"{path}: expected version, drift and effect: {_one_line(error)}") from None
+    if version != RATE_MODEL_VERSION:
+        raise UserError(
+            f"{path}: version: this runtime reads {RATE_MODEL_VERSION}, got {version}; export the population again"
+        )
+    got = {name: array.shape for name, array in zip(RateModel._fields, model, strict=True)}
+    if got != shapes() or not all(np.isfinite(array).all() for array in model):
+        raise UserError(f"{path}: expected finite {shapes()}, got {got}; export the population again")
+    return model
 
 
 def _check_interface(

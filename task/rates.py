@@ -1,0 +1,108 @@
+"""Angular acceleration of the healthy aircraft, with each surface's effect in its own term.
+
+    w' = A phi(x) + qbar * sum_j lambda_j B_j(alpha, V) u_j + b,    w = (p, q, r)
+
+u_j is the absolute deflection of surface j, lambda_j its signed effectiveness (1 when healthy, -1 when reversed) and b
+what the model does not know. The plant integrates the rotation by Euler's scheme, and a command is one sample late
+(``command_lag``): w[k+1] = w[k] + dt * w'(x[k], u[k - command_lag]).
+
+Everything here takes floats or arrays of one shape.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from task.state import N_ACTION
+
+RATE_MODEL_VERSION = 1
+"""Of the structure below; a file of coefficients says for which structure they were fitted."""
+RATES = 3
+"""p, q, r: the first three states."""
+
+WASHOUT = 4.0
+"""Time constant of the yaw rate's washout in the Citation's yaw damper [s]."""
+
+SCALE_HEIGHT = 44330.8
+"""Height at which the standard troposphere's temperature would be zero [m]."""
+DENSITY_EXPONENT = 4.2559
+SEA_LEVEL_DENSITY = 1.225
+"""[kg/m3]"""
+TROPOPAUSE = 11_000.0
+"""The density formula ends here [m]; above it the density at this height is used."""
+
+V_NOMINAL = 90.0
+"""Speed about which the terms in speed are written [m/s]."""
+KNEE = math.radians(8.0)
+"""Angle of attack above which the lift curve bends [rad]."""
+N_FEATURES = 23
+"""Length of phi."""
+N_EFFECT = 3
+"""Terms of B_j: constant, alpha, speed."""
+
+
+class RateModel(NamedTuple):
+    """The coefficients of the healthy aircraft."""
+
+    drift: np.ndarray
+    """A (23, 3): features, then p, q, r [rad/s2 per feature]."""
+    effect: np.ndarray
+    """B (3, 3, 3): surface j, term of :func:`effect_terms`, axis of p, q, r [rad/s2 per Pa rad]."""
+
+
+def dynamic_pressure(V: Any, h: Any) -> Any:
+    """Return qbar [Pa] at speed V [m/s] and altitude h [m] in the standard troposphere (still air)."""
+    low = 0.5 * (h + TROPOPAUSE - abs(h - TROPOPAUSE))  # min(h, TROPOPAUSE), for floats and arrays alike
+    return 0.5 * SEA_LEVEL_DENSITY * (1.0 - low / SCALE_HEIGHT) ** DENSITY_EXPONENT * V * V
+
+
+def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any, qbar: Any) -> tuple[Any, ...]:
+    """Return phi(x), 23 terms. washed: the high-passed yaw rate [rad/s] that the yaw damper feeds to the rudder."""
+    damping = qbar / (V + 1e-9)  # at V = 0 there is neither
+    speed = V / V_NOMINAL - 1.0
+    over = alpha - KNEE
+    knee = 0.5 * (over + abs(over))
+    one = 0.0 * V + 1.0
+    return (
+        one,
+        qbar,
+        qbar * alpha,
+        qbar * alpha * alpha,
+        qbar * alpha * alpha * alpha,
+        qbar * knee,
+        qbar * speed,
+        qbar * speed * alpha,
+        qbar * beta,
+        qbar * beta * beta,
+        qbar * beta * beta * beta,
+        qbar * alpha * beta,
+        qbar * speed * beta,
+        damping * p,
+        damping * q,
+        damping * r,
+        damping * alpha * p,
+        damping * alpha * q,
+        damping * alpha * r,
+        qbar * washed,
+        p * q,
+        q * r,
+        p * r,
+    )
+
+
+def effect_terms(V: Any, alpha: Any, qbar: Any) -> tuple[Any, Any, Any]:
+    """Return the terms that B_j is linear in, times qbar."""
+    return qbar, qbar * alpha, qbar * (V / V_NOMINAL - 1.0)
+
+
+def washout(low_passed: float, r: float, dt: float) -> float:
+    """Return the next low-passed yaw rate [rad/s]; the washed one is r minus it."""
+    return low_passed + dt / WASHOUT * (r - low_passed)
+
+
+def shapes() -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of :class:`RateModel`."""
+    return {"drift": (N_FEATURES, RATES), "effect": (N_ACTION, N_EFFECT, RATES)}
