@@ -77,9 +77,95 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
 
+    effectiveness: Literal["none", "structured"] = "none"
+    """``structured`` runs a Kalman filter for the signed effectiveness of each surface (``runtime.structured``, needs
+    the population's rate model), imagines with it, and imagines at once when the filter raises its alarm.
+    docs/adaptation.md says what every value below is for."""
+
+    rate_noise: Positive = 1e-4
+    """Least standard deviation of the measured rates that the filter assumes [rad/s]; above it the noise is found in
+    flight. Not zero with perfect sensors: it also covers what a sample's linear model leaves out."""
+
+    noise_time: Positive = 2.0
+    """Time constant with which the sensors' noise is found [s]."""
+
+    q_rate: Positive = 2e-5
+    """Process noise of the rates, each sample [rad/s]: the model's error from one sample to the next."""
+
+    q_rate_open: Positive = 5e-5
+    """The same while the filter is open [rad/s]."""
+
+    q_effectiveness: NotNegative = 2e-4
+    """Drift of lambda that is allowed for, each sample [-]: 0.02 in 100 s."""
+
+    q_effectiveness_open: NotNegative = 0.02
+    """The same while the filter is open [-]: lambda may still move by 0.2 in a second."""
+
+    q_bias: tuple[Positive, Positive, Positive] = (6e-4, 2e-3, 4e-4)
+    """Drift of the bias b that is allowed for on p, q, r, each sample [rad/s2]: thrust, trim and the centre of gravity
+    move the pitching moment most."""
+
+    effectiveness_sd: Positive = 0.05
+    """Standard deviation of lambda about 1 at the start of a flight [-]."""
+
+    effectiveness_sd_open: Positive = 1.0
+    """The same when an alarm opens the filter [-]: from healthy, reversed is two of them away."""
+
+    open_rate: Positive = 5e-3
+    """Standard deviation of the rates when the filter opens [rad/s]; they are set to what is measured."""
+
+    open_bias: tuple[Positive, Positive, Positive] = (0.2, 0.6, 0.1)
+    """Standard deviation of the bias on p, q, r when the filter opens [rad/s2]."""
+
+    open_after: Positive = 0.03
+    """From the alarm to the opening [s]: the samples that straddle the fault are not learnt from."""
+
+    open_time: Positive = 1.0
+    """How long the filter stays open [s]."""
+
+    effectiveness_limit: Positive = 2.5
+    """Largest abs(lambda) that is imagined [-]: a surface that hardly moves tells little of its effectiveness."""
+
+    alarm_threshold: Positive = 60.0
+    """Alarm when five normalised innovations squared add up to more than this. With a right model the sum is
+    chi-squared with 15 degrees of freedom: 60 is exceeded twice in 10 million samples."""
+
+    alarm_colour: NotNegative = 0.15
+    """The threshold grows by this share for each e-fold of the process noise that turbulence asks for [-]: gusts last
+    longer than a sample, and what lasts adds up in the sum. Light turbulence doubles the threshold."""
+
+    alarm_shift: Positive = 20.0
+    """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]: a
+    surface that fails while it is little used surprises no single sample. Aggressive flight of a healthy aircraft
+    reaches 16."""
+
+    shift_time: Positive = 5.0
+    """Time constant of the bias's running mean [s]."""
+
+    alarm_hold: NotNegative = 0.3
+    """No second alarm within this time of the last [s]."""
+
+    unrest_time: Positive = 5.0
+    """Time constant with which the process noise of each axis follows turbulence [s]: it is raised until the normalised
+    innovations are 1 on average, so that the threshold keeps its meaning."""
+
+    settle: NotNegative = 0.08
+    """From an alarm to the imagination that it asks for [s]."""
+
+    watch: NotNegative = 2.0
+    """For how long after an alarm imaginations follow each other every ``watch_period`` [s]."""
+
+    watch_period: Positive = 0.1
+    """Time between imaginations while watching [s]."""
+
+    dwell: NotNegative = 0.0
+    """Least time between two switches [s]."""
+
     def __post_init__(self) -> None:
         if self.prior == "population" and self.model == "full":
             raise ValueError("prior = 'population' needs model = 'reduced'; set prior = 'none'")
+        if self.effectiveness == "structured" and self.model == "full":
+            raise ValueError("effectiveness = 'structured' needs model = 'reduced'")
 
 
 class Operation(Settings, frozen=True, kw_only=True):
@@ -136,12 +222,15 @@ class Configuration(Settings, frozen=True, kw_only=True):
 
 PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
+    "structured": Adaptation(effectiveness="structured", identify=False),
     "thesis": Adaptation(
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
     ),
 }
-"""``understudy`` is the recommended one. ``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h =
-2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning of 50 % for negative returns are our reading."""
+"""``understudy`` is the recommended one. ``structured`` finds the surfaces' signed effectiveness and leaves the rest of
+the model at the population's prior: for casts with mirrors, and for noisy sensors, where raw increments tell nothing.
+``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h = 2 s, 50 % of |R_incumbent|, rho = 0.05;
+p0, kappa and the meaning of 50 % for negative returns are our reading."""
 
 
 def _value(text: str) -> Any:

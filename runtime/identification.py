@@ -11,9 +11,11 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.lowpass import LowPass
+from runtime.structured import Effectiveness
 from task.errors import UserError
 from task.limits import DT
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
+from task.rates import RateModel
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
 
@@ -118,6 +120,7 @@ class IncrementalModel:
         theta0: np.ndarray | None = None,
         p0: np.ndarray | None = None,
         dt: float = DT,
+        rates: RateModel | None = None,
     ) -> None:
         self.settings = settings
         self.command_lag = command_lag
@@ -141,6 +144,15 @@ class IncrementalModel:
         self._filter = LowPass(settings.lowpass_hz, dt, N_REGRESSORS) if settings.lowpass_hz else None
         self._warm_up = 2 if self._filter is None else 2 + self._filter.settling
         self._learn = self.rls.update if settings.identify else self.rls.predict
+        self.effectiveness: Effectiveness | None = None
+        """The filter of the surfaces' effectiveness; None without (``effectiveness = "none"``)."""
+        if settings.effectiveness == "structured":
+            if rates is None:
+                raise UserError(
+                    "effectiveness = 'structured', but the population brings no rate model; "
+                    "export it again, or --set effectiveness=none"
+                )
+            self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
         self.restart_history()
 
     def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -159,6 +171,8 @@ class IncrementalModel:
         """Start a new flight: prior, no history, nothing counted."""
         self.rls.reset()
         self.rls.skipped = self.rls.restarts = 0
+        if self.effectiveness is not None:
+            self.effectiveness.reset()
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -168,6 +182,13 @@ class IncrementalModel:
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
+        if self.effectiveness is not None:
+            self.effectiveness.restart_history()
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether this sample says that the aircraft is no longer the one that was known."""
+        return self.effectiveness is not None and self.effectiveness.alarmed
 
     @property
     def ready(self) -> bool:
@@ -181,6 +202,10 @@ class IncrementalModel:
         _wrap(self._moved_dx, STATE.phi)
         _wrap(self._moved_dx, STATE.psi)
         np.subtract(self._slots[1], self._slots[0], out=self._moved_da)
+        if self.effectiveness is not None:
+            self.effectiveness.observe(x)
+            # Theta's G stays that of healthy surfaces: it learns from what they do, not from what they are told.
+            np.multiply(self._moved_da, self.effectiveness.effectiveness, out=self._moved_da)
         np.copyto(self._x, x)
         self._states += 1
         if self._states == 1:
@@ -203,18 +228,17 @@ class IncrementalModel:
         self._sent += 1
         if self._sent == 1:
             self._commands[:] = action
+        if self.effectiveness is not None:
+            self.effectiveness.command(action)
 
     def snapshot(self) -> Identified:
         """Return what was learnt so far; call it between :meth:`observe` and :meth:`command`."""
         theta = self.rls.Theta
-        model = embed_reduced(theta) if self.exact_kinematics else theta
-        return Identified(
-            self._x.astype(np.float32),
-            self._dx.astype(np.float32),
-            self._commands[1:].astype(np.float32),
-            model.astype(np.float32),
-            self.exact_kinematics,
-        )
+        model = (embed_reduced(theta) if self.exact_kinematics else theta).astype(np.float32)
+        x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
+        if self.effectiveness is not None:
+            self.effectiveness.impose(x, dx, model)
+        return Identified(x, dx, self._commands[1:].astype(np.float32), model, self.exact_kinematics)
 
 
 def _wrap(dx: np.ndarray, angle: int) -> None:

@@ -170,6 +170,10 @@ class Loop:
         time_usec, rls, cast = sample.time_usec, self.model.rls, self.cast
         self.recorder.cycle(time_usec, tick, sample.x, command, reference, cast.blend, cast.flying, health)
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
+        if self.model.effectiveness is not None:
+            self.recorder.effectiveness(time_usec, self.model.effectiveness)
+            if self.model.alarmed:
+                self.say(sample, Severity.WARNING, "alarm: the aircraft answers otherwise than known")
         if played is not None:
             self.recorder.play(time_usec, played.returns, played.age, played.tick_asked, played.decision)
             if played.error:

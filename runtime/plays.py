@@ -10,7 +10,7 @@ from runtime.config import Adaptation
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
 from runtime.reference import Reference
-from runtime.switching import Cast, Decision, decide
+from runtime.switching import Action, Cast, Decision, Reason, decide
 
 
 class Played(NamedTuple):
@@ -31,6 +31,9 @@ class Plays:
 
     In lockstep the answer to tick k decides at tick k + ``play_delay_ticks``, and is waited for there. In real time
     it decides when it is there; while one is under way no other is asked for.
+
+    An alarm of the model asks at once, ``settle`` after it, and again every ``watch_period`` for ``watch``; what was
+    asked before the alarm no longer decides.
     """
 
     def __init__(
@@ -58,8 +61,13 @@ class Plays:
         self.asked = 0
         self.skipped = 0
         self.failed = 0
+        self._settle, self._watch = round(settings.settle / dt), round(settings.watch / dt)
+        self._watch_period = max(round(settings.watch_period / dt), 1)
         self._asked_at = -1
         self._next = self._period
+        self._alarm_at = self._watch_until = -1
+        self._switched_at = -np.inf
+        self._vote = -1
 
     def step(self, tick: int, t: float) -> Played | None:
         """Do what is due at a sample: return the decision that falls here, ask the next question.
@@ -69,14 +77,18 @@ class Plays:
         if self._settings.switch == "none":
             return None
         played = self._collect(tick)
+        if self._model.alarmed:
+            self._alarm_at, self._watch_until = tick, tick + self._settle + self._watch
+            self._next = tick + self._settle
         if tick >= self._next and self._model.ready and self._model.rls.updates >= self._least_updates:
-            if self._asked_at >= 0:
+            if self._asked_at > self._alarm_at:
                 self.skipped += 1
             else:
                 self._imagination.request(self._snapshot(t), tick)
                 self._asked_at = tick
                 self.asked += 1
-            self._next = (tick // self._period + 1) * self._period
+            watching = tick < self._watch_until
+            self._next = tick + self._watch_period if watching else (tick // self._period + 1) * self._period
         return played
 
     def _snapshot(self, t: float) -> Snapshot:
@@ -102,5 +114,24 @@ class Plays:
         self.failed += bool(prediction.error)
         self.seconds.append(prediction.seconds)
         age = (tick - asked) * self._dt
-        decision = decide(prediction.returns, self._cast.flying, age, self._settings)
+        since_switch = (tick - self._switched_at) * self._dt
+        overtaken = asked <= self._alarm_at
+        decision = decide(prediction.returns, self._cast.flying, age, self._settings, since_switch, overtaken)
+        decision = self._careful(decision, tick < self._watch_until)
+        if decision.action is not Action.KEEP:
+            self._switched_at = tick
         return Played(prediction.returns, age, asked, decision, prediction.error)
+
+    def _careful(self, decision: Decision, watching: bool) -> Decision:
+        """Return the decision, hard when members must not be averaged, and put off when nothing but it speaks for it.
+
+        A member that opposes the one that flies is right only when a surface works backwards. After an alarm one
+        imagination is enough; without, over a few seconds it can be the better one by chance, and two must agree.
+        """
+        vote, self._vote = self._vote, -1
+        if decision.action is Action.KEEP or not self._cast.opposes(decision.member):
+            return decision
+        if not watching and self._model.effectiveness is not None and vote != decision.member:
+            self._vote = decision.member
+            return decision._replace(action=Action.KEEP, reason=Reason.UNCONFIRMED)
+        return decision._replace(action=Action.HARD)

@@ -11,6 +11,7 @@ import numpy as np
 
 from runtime.config import Configuration
 from runtime.link import Severity
+from runtime.structured import Effectiveness
 from runtime.switching import Decision
 from runtime.ulog import ULog
 from task.config import to_json
@@ -61,6 +62,8 @@ class Summary(msgspec.Struct, kw_only=True):
     """Imaginations not asked for, because the last one was still under way."""
     plays_failed: int
     switches: int
+    alarms: int = 0
+    """Times that the surfaces' effectiveness was suspected to have changed."""
     health: dict[str, int]
     """Cycles in which each flag of ``runtime.guard.Health`` was up."""
     updates: int
@@ -107,6 +110,7 @@ class Recorder:
     ) -> None:
         self.path = path
         self._log = ULog(path, threaded)
+        structured = configuration.adaptation.effectiveness == "structured"
         self._log.info("sys_name", "Understudy")
         self._log.info("population", population)
         self._log.info("members", ",".join(members))
@@ -139,6 +143,17 @@ class Recorder:
                 ("uint8_t", "reason"),
             ],
         )
+        self._effectiveness = self._log.topic(
+            "effectiveness",
+            [
+                *(("float", f"{kind}_{surface.name}") for kind in ("lambda", "sd") for surface in ACTION),
+                *(("float", f"bias_{rate}") for rate in "pqr"),
+                ("float", "noise"),
+                ("float", "unrest"),
+                ("float", "surprise"),
+                ("uint32_t", "alarms"),
+            ],
+        ) if structured else None  # fmt: skip
         self._log.begin()
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
@@ -182,6 +197,14 @@ class Recorder:
     def innovation(self, time_usec: int, innovation: np.ndarray, trace: float) -> None:
         """Record what the model did not foresee (eq. 8.7) and trace(P)."""
         self._log.write(self._innovation, time_usec, trace, *innovation)
+
+    def effectiveness(self, time_usec: int, found: Effectiveness) -> None:
+        """Record what is known of the surfaces."""
+        if self._effectiveness is not None:
+            self._log.write(
+                self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias,
+                found.noise_variance**0.5, max(found.unrest), found.filter.nis, found.alarms,
+            )  # fmt: skip
 
     def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:
         """Record an imagination at the moment that it decides."""

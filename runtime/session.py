@@ -19,10 +19,10 @@ from runtime.link import Link, Sample, Severity
 from runtime.loop import Loop, Outcome
 from runtime.plays import Plays
 from runtime.policy import Policy
-from runtime.population import BehaviouralPolicy, Population
+from runtime.population import BehaviouralPolicy, Population, probe
 from runtime.recorder import Recorder, Summary, check_writable, percentiles
 from runtime.reference import Reference
-from runtime.switching import Cast
+from runtime.switching import Cast, opposed
 from task.errors import UserError
 from task.state import N_REFERENCE, N_STATE
 
@@ -65,10 +65,15 @@ class Session:
         self._say, self._stopped = say, stopped
         self._information = {"population_sha256": population.sha256, **(information or {})}
         self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
-        self._cast = Cast(self._policy.parameters, population.parameters, population.champion, adaptation.rho)
+        cast = None if isinstance(population, Solo) else population
+        self._cast = Cast(
+            self._policy.parameters, population.parameters, population.champion, adaptation.rho,
+            opposed(probe(cast)) if cast else None,
+        )  # fmt: skip
         self._model = IncrementalModel(
-            adaptation, population.command_lag, population.theta, population.p0, operation.dt
-        )
+            adaptation, population.command_lag, population.theta, population.p0, operation.dt,
+            cast.rates if cast else None,
+        )  # fmt: skip
         self._guard = Guard(operation)
         self._horizon = round(adaptation.horizon / operation.dt)
         self._imagination = None if isinstance(population, Solo) else Imagination(population, self._horizon)
@@ -178,6 +183,7 @@ class Session:
             plays_skipped=plays.skipped,
             plays_failed=plays.failed,
             switches=loop.switches,
+            alarms=self._model.effectiveness.alarms if self._model.effectiveness else 0,
             health=dict(loop.health_counts),
             updates=rls.updates,
             updates_skipped=rls.skipped,

@@ -28,6 +28,9 @@ class Reason(IntEnum):
     TOO_OLD = 4
     NO_PREDICTION = 5
     INCUMBENT_UNKNOWN = 6
+    OVERTAKEN = 7
+    DWELL = 8
+    UNCONFIRMED = 9
 
 
 REASONS = {
@@ -37,6 +40,9 @@ REASONS = {
     Reason.INCUMBENT_IS_BEST: "the best member flies already, or the blend is on its way to it",
     Reason.TOO_OLD: "the prediction is older than max_age",
     Reason.NO_PREDICTION: "no member has a finite predicted return",
+    Reason.OVERTAKEN: "an alarm came after the question",
+    Reason.UNCONFIRMED: "without an alarm, one imagination is not enough to change to an opposed member",
+    Reason.DWELL: "the last switch is younger than the dwell time",
     Reason.INCUMBENT_UNKNOWN: "the incumbent's own return is not finite; the best member takes over",
 }
 """Reason: in words."""
@@ -53,11 +59,20 @@ class Decision(NamedTuple):
     """R_best - R_incumbent; NaN when either is unknown."""
 
 
-def decide(returns: np.ndarray, flying: int, age: float, settings: Adaptation) -> Decision:
+def decide(
+    returns: np.ndarray,
+    flying: int,
+    age: float,
+    settings: Adaptation,
+    since_switch: float = np.inf,
+    overtaken: bool = False,
+) -> Decision:
     """Return what to do with one imagination of the cast.
 
     returns: (P + 1,) predicted returns, the behavioural policy's own last (it may be half-way between members);
-    flying: index of the member that flies or that a blend moves towards; age: of the prediction [s].
+    flying: index of the member that flies or that a blend moves towards; age: of the prediction [s]; since_switch: time
+    since the last switch [s]; overtaken: whether an alarm came after the question, which was about an aircraft that is
+    no more.
 
     The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent|.
     """
@@ -68,12 +83,16 @@ def decide(returns: np.ndarray, flying: int, age: float, settings: Adaptation) -
     switch = Action.HARD if settings.switch == "hard" else Action.SOFT
     if settings.switch == "none":
         return Decision(Action.KEEP, best, Reason.SWITCHED_OFF, lead)
+    if overtaken:
+        return Decision(Action.KEEP, best, Reason.OVERTAKEN, lead)
     if age > settings.max_age:
         return Decision(Action.KEEP, best, Reason.TOO_OLD, lead)
     if best < 0:
         return Decision(Action.KEEP, best, Reason.NO_PREDICTION, lead)
     if best == flying:
         return Decision(Action.KEEP, best, Reason.INCUMBENT_IS_BEST, lead)
+    if since_switch < settings.dwell:
+        return Decision(Action.KEEP, best, Reason.DWELL, lead)
     if not np.isfinite(incumbent):
         return Decision(switch, best, Reason.INCUMBENT_UNKNOWN, lead)
     if lead > settings.margin * abs(incumbent):
@@ -81,35 +100,62 @@ def decide(returns: np.ndarray, flying: int, age: float, settings: Adaptation) -
     return Decision(Action.KEEP, best, Reason.MARGIN, lead)
 
 
+OPPOSED = -0.5
+"""Two members whose commands on a surface correlate less than this must not be averaged."""
+
+
+def opposed(actions: np.ndarray) -> np.ndarray:
+    """Return which members must not be averaged, (P, P) bool, symmetric.
+
+    actions: (P, N, 3) [rad], every member's commands on the same N observations. A policy and its mirror command the
+    same with the opposite sign: half-way between them nothing is commanded at all. Pairs whose commands on any one
+    surface are that unlike (cosine below ``OPPOSED``) are switched hard.
+    """
+    per_surface = np.moveaxis(np.asarray(actions, dtype=float), -1, 0)  # (3, P, N)
+    size = np.linalg.norm(per_surface, axis=-1, keepdims=True)
+    unit = np.divide(per_surface, size, out=np.zeros_like(per_surface), where=size > 0.0)
+    return (unit @ np.swapaxes(unit, -1, -2) < OPPOSED).any(axis=0)
+
+
 class Cast:
     """Which member flies, and the change of parameters under way; applied at cycle boundaries only.
 
     ``live`` (K,) are the behavioural policy's own parameters, changed in place, and ``members`` (P, K) the
-    population's; float32.
+    population's; float32. ``opposed`` (P, P): which must not be averaged, from :func:`opposed`.
     """
 
     DONE = 1e-6
     """A blend ends when less than this share is left to go: float32 parameters no longer move."""
 
-    def __init__(self, live: np.ndarray, members: np.ndarray, champion: int, rho: float) -> None:
+    def __init__(
+        self, live: np.ndarray, members: np.ndarray, champion: int, rho: float, opposed: np.ndarray | None = None
+    ) -> None:
         self.live = live
         self._members = members
         self._champion = champion
         self._rho = np.float32(rho)
+        self._opposed = opposed
         self._step = np.empty_like(live)
         self.reset()
 
     def reset(self) -> None:
         """Fly the champion."""
-        self.flying = self._champion
+        self.flying = self._origin = self._champion
         self.blend = 0.0
         np.copyto(self.live, self._members[self._champion])
+
+    def opposes(self, member: int) -> bool:
+        """Return whether a member must not be averaged with what flies."""
+        if self._opposed is None:
+            return False
+        row = self._opposed[member]
+        return bool(row[self.flying] or (self.blend > 0.0 and row[self._origin]))
 
     def take(self, decision: Decision) -> None:
         """Begin what was decided: copy the member at once (hard) or move towards it from here on (soft)."""
         if decision.action is Action.KEEP:
             return
-        self.flying = decision.member
+        self._origin, self.flying = self.flying, decision.member
         self.blend = 1.0 if decision.action is Action.SOFT else 0.0
         if decision.action is Action.HARD:
             np.copyto(self.live, self._members[decision.member])

@@ -1,0 +1,216 @@
+"""The effectiveness of the surfaces: the filter against filterpy's, noise, alarm, and what the imagination gets."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from runtime.config import PRESETS, Adaptation, resolve
+from runtime.identification import IncrementalModel
+from runtime.structured import Effectiveness, RateFilter
+from runtime.switching import opposed
+from task.errors import UserError
+from task.limits import DT
+from task.model import N_REGRESSORS
+from task.rates import N_EFFECT, N_FEATURES, RateModel, dynamic_pressure, effect_terms, features
+from task.state import N_IDENTIFIED, STATE
+
+SETTINGS = PRESETS["structured"]
+EFFECT = np.zeros((3, N_EFFECT, 3))
+EFFECT[0, 0, 1], EFFECT[1, 0, 0], EFFECT[2, 0, 2] = -6e-3, -3.5e-3, -1e-3
+DRIFT = np.zeros((N_FEATURES, 3))
+DRIFT[[13, 14, 15], [0, 1, 2]] = -0.05, -0.03, -0.01
+MODEL = RateModel(DRIFT, EFFECT)
+
+
+def state(w=(0.0, 0.0, 0.0), V=90.0, alpha=0.05, beta=0.0, h=2000.0):
+    x = np.zeros(N_IDENTIFIED)
+    x[:3], x[STATE.V], x[STATE.alpha], x[STATE.beta], x[STATE.h] = w, V, alpha, beta, h
+    return x
+
+
+class Aircraft:
+    """The rate model itself, with effectiveness and gyro noise to choose, driven by its own commands."""
+
+    def __init__(self, seed=0, noise=0.0):
+        self.rng, self.noise = np.random.default_rng(seed), noise
+        self.w, self.effect, self.last = np.zeros(3), np.ones(3), np.zeros(3)
+        self.tick = 0
+
+    def read(self):
+        return state(self.w + self.noise * self.rng.standard_normal(3))
+
+    def step(self, u):
+        """One sample: the command of before acts now (command lag 1)."""
+        qbar = dynamic_pressure(90.0, 2000.0)
+        phi = np.array(features(*self.w, 90.0, 0.05, 0.0, 0.0, qbar))
+        terms = np.array(effect_terms(90.0, 0.05, qbar))
+        acceleration = phi @ DRIFT + np.einsum("t,jta,j->a", terms, EFFECT, self.effect * self.last)
+        self.w = self.w + DT * acceleration
+        self.last = u
+        self.tick += 1
+
+    def command(self):
+        t = self.tick * DT
+        wave = np.sin(2.0 * np.pi * np.array([0.5, 0.7, 0.9]) * t)
+        return 0.03 * wave - np.array([0.02, 0.0, 0.0])
+
+
+def watch(found, aircraft, samples):
+    """Feed ``samples``; return the times of the alarms, in samples from now."""
+    alarms = []
+    for k in range(samples):
+        found.observe(aircraft.read())
+        if found.alarmed:
+            alarms.append(k)
+        u = aircraft.command()
+        found.command(u)
+        aircraft.step(u)
+    return alarms
+
+
+def test_the_filter_is_filterpys():
+    rng = np.random.default_rng(0)
+    ours = RateFilter(MODEL)
+    ours.s[:] = rng.normal(size=9) * 0.1
+    ours.P[:] = np.diag(rng.uniform(1e-4, 1.0, 9))
+    ours.q[:], ours.r[:] = rng.uniform(1e-8, 1e-4, 9), rng.uniform(1e-8, 1e-6, 3)
+    theirs = KalmanFilter(dim_x=9, dim_z=3, dim_u=3)
+    theirs.x, theirs.P = ours.s.copy(), ours.P.copy()
+    theirs.H, theirs.B = np.eye(3, 9), np.eye(9, 3)
+    theirs.Q, theirs.R = np.diag(ours.q), np.diag(ours.r)
+    for _ in range(200):
+        x = state(rng.normal(size=3) * 0.1, rng.uniform(80, 150), rng.uniform(0, 0.1), rng.normal() * 0.02)
+        ours.linearise(x, 0.01 * rng.normal(), rng.uniform(-0.17, 0.17, 3))
+        theirs.predict(u=ours.drift_step, F=ours.F)
+        ours.predict()
+        z = ours.s[:3] + 1e-3 * rng.normal(size=3)
+        theirs.update(z)
+        ours.update(z)
+        np.testing.assert_allclose(ours.s, theirs.x, rtol=1e-7, atol=1e-10)
+        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-6, atol=1e-12)
+        nis = float(theirs.y @ theirs.SI @ theirs.y)
+        assert ours.nis == pytest.approx(nis, rel=1e-6)
+    np.testing.assert_array_equal(ours.P, ours.P.T)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-0.3, -1.0, 1.0), (0.3, 1.0, 1.0)])
+def test_a_surface_that_changes_raises_one_alarm_and_is_known_within_a_second(noise, effect):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    assert watch(found, aircraft, 500) == []
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.1)
+    aircraft.effect = np.array(effect)
+    alarms = watch(found, aircraft, 100)
+    assert len(alarms) == 1
+    assert alarms[0] < 20
+    np.testing.assert_allclose(found.effectiveness[:2], effect[:2], atol=0.2)
+
+
+def test_sensor_noise_is_found_and_raises_no_alarm():
+    aircraft, found = Aircraft(seed=3, noise=1.3e-3), Effectiveness(SETTINGS, MODEL, 1)
+    assert watch(found, aircraft, 6000) == []
+    assert found.noise_variance**0.5 == pytest.approx(1.3e-3, rel=0.1)
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.2)
+
+
+def test_a_second_reversal_is_found_as_well():
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.effect = np.array([-1.0, 1.0, 1.0])
+    watch(found, aircraft, 60)
+    aircraft.effect = np.array([-1.0, -1.0, 1.0])
+    assert watch(found, aircraft, 150)
+    np.testing.assert_allclose(found.effectiveness[:2], -1.0, atol=0.2)
+    aircraft.effect = np.ones(3)
+    assert watch(found, aircraft, 200)
+    np.testing.assert_allclose(found.effectiveness[:2], 1.0, atol=0.2)
+
+
+def test_a_state_of_numbers_beyond_reason_does_not_raise_and_is_recovered_from():
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 300)
+    with np.errstate(all="ignore"):
+        for value in (0.0, 1e300, np.inf, np.nan):
+            found.observe(state((value, value, value), V=value))
+            found.command(np.zeros(3))
+    found.restart_history()
+    watch(found, aircraft, 300)
+    assert found.restarts > 0
+    assert np.isfinite(found.filter.s).all()
+    assert np.isfinite(found.filter.P).all()
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.3)
+
+
+def test_a_flight_that_starts_again_is_like_the_first():
+    found, seen = Effectiveness(SETTINGS, MODEL, 1), []
+    for _ in range(2):
+        aircraft = Aircraft(noise=6.3e-4)
+        alarms = watch(found, aircraft, 300)
+        aircraft.effect = np.array([-1.0, 1.0, 1.0])
+        seen.append((alarms, watch(found, aircraft, 100), found.filter.s.copy()))
+        found.reset()
+    assert seen[0][:2] == seen[1][:2]
+    np.testing.assert_array_equal(seen[0][2], seen[1][2])
+
+
+def test_nothing_is_allocated_in_flight_that_stays():
+    import tracemalloc
+
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 300)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    watch(found, aircraft, 200)
+    after = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert after - before < 20_000
+
+
+def test_the_imagination_gets_signed_rows_of_g_and_rates_without_noise():
+    theta = np.ones((11, 6))
+    model = IncrementalModel(SETTINGS, 1, theta, np.eye(11), rates=MODEL)
+    aircraft = Aircraft(noise=6.3e-4)
+    increments = []
+    for k in range(400):
+        if k == 300:
+            aircraft.effect = np.array([-1.0, 1.0, 1.0])
+        model.observe(aircraft.read())
+        if k == 399:
+            break
+        u = aircraft.command()
+        model.command(u)
+        before = aircraft.w
+        aircraft.step(u)
+        increments.append(aircraft.w - before)
+    identified = model.snapshot()
+    effect = model.effectiveness.effectiveness
+    assert effect[0] < -0.7
+    rows = identified.model[N_IDENTIFIED:N_REGRESSORS, : STATE.beta + 1]
+    np.testing.assert_allclose(rows, np.tile(effect.astype(np.float32)[:, None], 6), rtol=1e-5)
+    assert np.abs(identified.dx[:3] - increments[-1]).max() < 2e-4  # raw differences would be off by 9e-4
+    assert (model.rls.Theta == theta).all()
+
+
+def test_a_population_without_a_rate_model_is_refused_in_one_line():
+    with pytest.raises(UserError, match="the population brings no rate model; export it again"):
+        IncrementalModel(SETTINGS, 1, np.zeros((11, 6)), np.eye(11))
+    with pytest.raises(UserError, match="needs model = 'reduced'"):
+        resolve("thesis", None, ("effectiveness=structured",))
+
+
+def test_policies_and_their_mirrors_are_opposed_and_nothing_else():
+    rng = np.random.default_rng(0)
+    good = rng.normal(size=(32, 3))
+    lazy = 0.3 * good + 0.02
+    mirror = good * np.array([1.0, -1.0, 1.0])
+    table = opposed(np.stack([good, lazy, mirror, np.zeros_like(good)]))
+    assert table.tolist() == [
+        [False, False, True, False],
+        [False, False, True, False],
+        [True, True, False, False],
+        [False, False, False, False],
+    ]
+
+
+def test_the_other_presets_are_as_they_were():
+    assert Adaptation().effectiveness == PRESETS["thesis"].effectiveness == "none"
