@@ -11,7 +11,7 @@ from runtime.laws.law import Airframe, Law, Positive, Row
 from runtime.lowpass import LowPass
 from task.config import Settings
 from task.limits import DEFLECTION_LIMIT, DT
-from task.state import N_ACTION, REFERENCE, STATE
+from task.state import ACTION, N_ACTION, REFERENCE, STATE
 
 _MOTION = [int(i) for i in (STATE.p, STATE.q, STATE.r, STATE.alpha, STATE.beta)]
 _ALPHA, _BETA = 3, 4
@@ -111,12 +111,33 @@ class INDI(Law):
                 self._gains.rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
             )
         ]
-        multipliers = [1.0] * N_ACTION if self.estimate is None else self.estimate.multipliers
-        for j, row in enumerate(self._inverse):
-            step = (row[0] * missing[0] + row[1] * missing[1] + row[2] * missing[2]) / (ratio * multipliers[j])
-            u = self._start[MOTIONS + j] + self._signal[MOTIONS + j] + step
-            self._action[j] = min(max(u, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
+        self._allocate(missing, ratio)
         return self._action
+
+    def _allocate(self, missing: list[float], ratio: float) -> None:
+        """Set the action that makes up for the missing acceleration (3,) [rad/s2].
+
+        The rudder comes first, and what its limit takes away is not asked of elevator and aileron: a jammed rudder then
+        costs sideslip, and not bank as well.
+        """
+        multipliers = [1.0] * N_ACTION if self.estimate is None else self.estimate.multipliers
+        B, row = self._airframe.effectiveness, self._inverse[ACTION.dr]
+        rudder = self._limited(
+            ACTION.dr, row[0] * missing[0] + row[1] * missing[1] + row[2] * missing[2], ratio, multipliers
+        )
+        roll, pitch = missing[0] - B[0][ACTION.dr] * rudder, missing[1] - B[1][ACTION.dr] * rudder
+        (a, b), (c, d) = B[0][: ACTION.dr], B[1][: ACTION.dr]
+        determinant = a * d - b * c
+        self._limited(ACTION.de, (d * roll - b * pitch) / determinant, ratio, multipliers)
+        self._limited(ACTION.da, (a * pitch - c * roll) / determinant, ratio, multipliers)
+
+    def _limited(self, surface: int, increment: float, ratio: float, multipliers: list[float]) -> float:
+        """Move a surface by what equals an increment [rad] at nominal effect; return what of it is within limits."""
+        scale = ratio * multipliers[surface]
+        now = float(self._start[MOTIONS + surface] + self._signal[MOTIONS + surface])
+        u = min(max(now + increment / scale, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
+        self._action[surface] = u
+        return (u - now) * scale
 
     def _begin(self, x: np.ndarray, ratio: float) -> np.ndarray:
         """Start the filter at a state, and return the command that goes on: the last one, or trim."""

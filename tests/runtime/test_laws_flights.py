@@ -68,6 +68,15 @@ def test_a_reversed_elevator_loses_the_laws_whose_signs_are_fixed(law, plant_lin
     assert flown.summary.seconds < 25.0
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_a_jammed_rudder_costs_sideslip_and_neither_bank_nor_pitch(law, plant_link, tmp_path):
+    link = plant_link(len(ROWS), lambda tick, action: np.array([*action[:2], np.radians(10.0)]))
+    (flown,) = fly(link, law, tmp_path / "f.ulg")
+    assert flown.outcome is Outcome.OVER
+    assert np.degrees(np.abs(error(link)[:, 2]).mean()) > 3.0
+    assert np.degrees(link.error(ROWS)).max() < 0.3
+
+
 @pytest.mark.parametrize("law", ["pid", "indi"])
 def test_a_delay_of_50_ms_costs_next_to_nothing(law, plant_link, tmp_path):
     """The gains are tuned with 40 ms of delay as a margin."""
