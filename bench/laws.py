@@ -175,7 +175,7 @@ def _result(flights: dict[str, dict[str, Flown]], seconds: float) -> Result:
     ]
     notes = [
         "Gains tuned on nominal, F5, R2, R3 with 40 ms of delay added; the estimate on reversals (bench/tune_laws.py). "
-        "The other rows were not looked at while tuning.",
+        "No other row was used for the gains; the rudder's priority in INDI came after F6 was seen.",
         "F6 has a floor of about 33 % that the metric makes: a constant sideslip is divided by its own mean.",
         "Reversals begin at 20 s; F1-F6 and delays are there from the start. One flight a cell.",
     ]
