@@ -6,16 +6,18 @@ PIP     = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 export OMP_NUM_THREADS ?= 1
 
 SCENARIO   ?= cg_shift
-POPULATION ?= populations/serl10
+# The cast that flies; empty: the scenario's own.
+POPULATION ?=
 CONFIG     ?= serl10
 RUN        ?= runs/$(CONFIG)
+CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev fly test lint train export aircraft chapter8 results bench bench-train clean
+.PHONY: help setup setup-dev fly test lint train export aircraft chapter8 peers structured scores results bench bench-train clean
 
 help: ## Show this help
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-	@echo "Variables: SCENARIO=$(SCENARIO) POPULATION=$(POPULATION) CONFIG=$(CONFIG) ARGS='extra arguments'"
+	@echo "Variables: SCENARIO=$(SCENARIO) POPULATION=populations/NAME CONFIG=$(CONFIG) ARGS='extra arguments'"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -33,7 +35,7 @@ setup: $(VENV)/.sim ## Install what flies and the simulator (no torch)
 setup-dev: $(VENV)/.dev ## Install everything: training, export, tests
 
 fly: setup ## Fly SCENARIO in all modes over MAVLink; table and report (ARGS=--realtime for wall clock)
-	$(BIN)/understudy fly $(SCENARIO) --population $(POPULATION) $(ARGS)
+	$(BIN)/understudy fly $(SCENARIO) $(CAST) $(ARGS)
 
 test: setup-dev ## Run the tests, the linter, the type checker and the walls
 	$(BIN)/ruff check .
@@ -56,10 +58,19 @@ aircraft: setup-dev ## Validate the Citation against recordings; prints the tabl
 	$(BIN)/understudy aircraft validate $(ARGS)
 
 chapter8: setup-dev ## The thesis's sudden CG shift: modes x references, into results/
-	$(BIN)/python -m scenarios.chapter8 --population $(POPULATION) $(ARGS)
+	$(BIN)/python -m scenarios.chapter8 $(CAST) $(ARGS)
 
 results: setup ## Render docs/results.md from results/*.json
 	$(BIN)/understudy results
+
+peers: setup-dev ## The classical laws on faults, noise and latency, into results/
+	$(BIN)/python -m bench.laws $(ARGS)
+
+structured: setup-dev ## Reversed surfaces: alarm, re-casting and survival, into results/
+	$(BIN)/python -m bench.structured $(ARGS)
+
+scores: setup-dev ## Score RUN on evaluation references, into results/
+	$(BIN)/python -m export.training.report $(RUN) $(ARGS)
 
 bench: setup-dev ## Cost of the cycle, the link and the imagination beside their peers, as ratios
 	$(BIN)/python -m bench.cycle

@@ -66,7 +66,7 @@ def _configure(
         return resolve(preset, config, overrides, switch, realtime)
     if switch not in (None, "none"):
         raise UserError(f"--law {law}: flies alone; expected --switch none or no --switch, got {switch}")
-    return resolve(preset, config, (*overrides, "prior=none"), "none", realtime)
+    return resolve(preset, config, (*overrides, "prior=none", "effectiveness=none"), "none", realtime)
 
 
 def _load(population: Path | None, law: LawName | None, configuration: Configuration) -> Population | Solo:

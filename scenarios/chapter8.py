@@ -16,7 +16,7 @@ from scenarios.cli import INTERRUPTED, console, default_jobs, fly_scenario
 from scenarios.references import with_count
 from scenarios.report import scores_by_mode, write_report
 from scenarios.run import find_population
-from scenarios.schema import CHOICES, find, load_scenario
+from scenarios.schema import MODES, PEERS, find, load_scenario
 from scenarios.score import Score
 from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, Scores, change, changes, summarise
@@ -147,7 +147,9 @@ def main(count: int, population: str | None, out: Path, results: Path, jobs: int
     cast = find_population(population or scenario.population)
     screen = console()
     try:
-        flown = fly_scenario(scenario, path.parent, list(CHOICES.values()), cast, out, False, jobs, fresh, screen)
+        flown = fly_scenario(
+            scenario, path.parent, [*MODES.values(), *PEERS.values()], cast, out, False, jobs, fresh, screen
+        )
     except KeyboardInterrupt:
         click.echo(f"understudy: stopped; what was flown is kept in {out}", err=True)
         raise SystemExit(INTERRUPTED) from None

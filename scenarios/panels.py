@@ -24,6 +24,10 @@ MODE_COLOURS = {
     "thesis-soft": "#D55E00",
     "understudy-hard": "#56B4E9",
     "understudy-soft": "#0072B2",
+    "structured": "#009E73",
+    "pid": "#8c6d31",
+    "indi": "#9a9a9a",
+    "indi-rls-signfree": "#000000",
 }
 """Okabe and Ito's colours, told apart by the colour-blind; the recipe gives the hue, hard or soft its depth."""
 MOST_ROWS = 12

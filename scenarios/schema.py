@@ -23,7 +23,7 @@ class Mode(NamedTuple):
     """One way of adapting: the runtime's preset and how it changes the cast."""
 
     name: str
-    preset: Literal["thesis", "understudy"]
+    preset: Literal["thesis", "understudy", "structured"]
     switch: Literal["none", "hard", "soft"]
     law: Literal["pid", "indi", "indi-rls-signfree"] | None = None
     """A classical law that flies in the population's place (docs/laws.md)."""
@@ -41,6 +41,9 @@ MODES: dict[str, Mode] = {
 }
 """``none`` flies the champion throughout; ``thesis`` is chapter 8 as published, ``understudy`` what we recommend."""
 
+STRUCTURED = {"structured": Mode("structured", "structured", "soft")}
+"""The preset for surfaces that work backwards (docs/adaptation.md); flown when it is asked for."""
+
 PEERS: dict[str, Mode] = {
     "pid": Mode("pid", "understudy", "none", "pid"),
     "indi": Mode("indi", "understudy", "none", "indi"),
@@ -48,11 +51,19 @@ PEERS: dict[str, Mode] = {
 }
 """Classical laws on the same link, references and faults; flown when they are asked for."""
 
-CHOICES = MODES | PEERS
+CHOICES = MODES | STRUCTURED | PEERS
 """Every mode that can be flown."""
 
 ModeName = Literal[
-    "none", "thesis-hard", "thesis-soft", "understudy-hard", "understudy-soft", "pid", "indi", "indi-rls-signfree"
+    "none",
+    "thesis-hard",
+    "thesis-soft",
+    "understudy-hard",
+    "understudy-soft",
+    "structured",
+    "pid",
+    "indi",
+    "indi-rls-signfree",
 ]
 
 
@@ -81,7 +92,7 @@ class Scenario(Settings, frozen=True):
     references: References = References()
     """The references; the pitch reference of ``base`` and ``random`` is added to the trim pitch."""
     modes: tuple[ModeName, ...] = get_args(ModeName)[: len(MODES)]
-    """Which modes are flown, all on the same references; the classical laws only when they are named."""
+    """Which modes are flown, all on the same references; ``structured`` and the laws only when they are named."""
     population: str = "serl10"
     """The cast: a folder, or the name of one under ``populations/``."""
 
