@@ -151,6 +151,8 @@ class Bench:
 
     def __init__(self, cast: Loaded, folder: Path) -> None:
         self._cast, self._log, self._plant = cast, folder / "flight.ulg", Plant()
+        self.flown = 0
+        """Flights so far."""
 
     def fly(self, effect: tuple[float, ...], condition: Condition, seed: int, method: str) -> Flight:
         """Fly one reference; method: ``structured``, ``none`` (the champion alone) or ``oracle``.
@@ -172,6 +174,7 @@ class Bench:
         configuration = resolve("structured") if method == "structured" else resolve("understudy", switch="none")
         with Session(link, self._cast, RecordedReference(rows), configuration, self._log, heard) as session:
             (flown,) = session.fly()
+        self.flown += 1
         x = np.array(link.x[:-1])
         error = tracking_error(x, rows[: len(x)])[round(FAULT_AT / DT) :]
         alarms = [at for at, text in events if text.startswith("alarm") and at >= 0.0]
@@ -273,7 +276,7 @@ def main(references: int, quiet: int) -> None:
         title="Structured adaptation: reversed surfaces",
         command=f"python -m bench.structured --references {references} --quiet {quiet}",
         seconds=round(time.perf_counter() - began, 1),
-        runs=3 * references * (len(faults) + len(turbulent)) + 2 * quiet * len(healthy),
+        runs=bench.flown,
         seeds=list(range(references)),
         claims=[
             Claim(claim="reversed elevator, aileron or both survived, still air", value=f"{survived} of {flights}",
