@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 
@@ -17,34 +18,30 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """Base of every configuration: immutable, keyword-only, unknown keys refused."""
 
 
-def _keys_at(kind: Any, message: str) -> str:
+def _keys_at(kind: Any, data: Any, message: str) -> str:
     """Return the known keys of the struct that ``message`` complains about, as a hint."""
     if "unknown field" not in message:
         return ""
-    if "at `$" in message:
-        steps = message.rsplit("at `$", 1)[1].rstrip("`").replace("[...]", "").split(".")
-        for step in filter(None, (s.split("[")[0] for s in steps)):
-            kind = _field_type(kind, step)
-            if kind is None:
-                return ""
-    try:
-        return "; known keys: " + ", ".join(f.encode_name for f in msgspec.structs.fields(kind))
-    except TypeError:
-        return ""
+    path = message.rsplit("at `$", 1)[1] if "at `$" in message else ""
+    for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+        struct = _struct(kind, data)
+        if key:
+            if struct is None or not isinstance(data, dict) or key not in data:
+                return ""  # the path leads through a mapping, whose keys the message does not give
+            kind = next(f.type for f in msgspec.structs.fields(struct) if f.encode_name == key)
+        data = data[key or int(index)]
+    struct = _struct(kind, data)
+    return "; known keys: " + ", ".join(f.encode_name for f in msgspec.structs.fields(struct)) if struct else ""
 
 
-def _field_type(kind: Any, name: str) -> Any:
-    """Return the struct type of field ``name``, looking through containers and unions of one struct."""
-    try:
-        kind = next(f.type for f in msgspec.structs.fields(kind) if f.encode_name == name)
-    except (TypeError, StopIteration):
-        return None
-    while not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-        inner = [a for a in getattr(kind, "__args__", ()) if a is not type(None) and a is not Ellipsis]
-        if len(inner) != 1:
-            return None
-        kind = inner[0]
-    return kind
+def _struct(kind: Any, data: Any) -> type[msgspec.Struct] | None:
+    """Return the struct that ``data`` is meant as, looking through containers; of tagged ones, the one it names."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        tag = kind.__struct_config__.tag
+        named = data.get(kind.__struct_config__.tag_field) if tag is not None and isinstance(data, dict) else tag
+        return kind if named == tag else None
+    found = (_struct(inner, data) for inner in get_args(kind))
+    return next((struct for struct in found if struct is not None), None)
 
 
 def convert(data: Any, kind: type[T], where: str) -> T:
@@ -53,7 +50,7 @@ def convert(data: Any, kind: type[T], where: str) -> T:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         message = str(error)
-        raise UserError(f"{where}: {message[0].lower()}{message[1:]}{_keys_at(kind, message)}") from None
+        raise UserError(f"{where}: {message[0].lower()}{message[1:]}{_keys_at(kind, data, message)}") from None
 
 
 def read_bytes(path: Path, what: str) -> bytes:

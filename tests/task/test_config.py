@@ -10,10 +10,20 @@ class Inner(Settings):
     angle: float = 0.0
 
 
+class Cat(Settings, tag_field="kind", tag="cat"):
+    lives: int = 9
+
+
+class Dog(Settings, tag_field="kind", tag="dog"):
+    name: str = "Rex"
+
+
 class Outer(Settings):
     name: str
     inner: Inner = Inner()
     many: tuple[Inner, ...] = ()
+    pets: tuple[Cat | Dog, ...] = ()
+    named: dict[str, Inner] = {}
 
 
 def refusal(tmp_path: Path, text: str) -> str:
@@ -38,7 +48,10 @@ def test_unknown_key_names_where_and_what_is_known(tmp_path: Path) -> None:
     assert "angel" in message
     assert "many" in message
     assert "known keys: angle" in message
-    assert "known keys: name, inner, many" in refusal(tmp_path, 'name = "a"\nspeed = 3\n')
+    assert "known keys: name, inner, many, pets, named" in refusal(tmp_path, 'name = "a"\nspeed = 3\n')
+    pets = 'name = "a"\n[[pets]]\nkind = "cat"\n[[pets]]\nkind = "dog"\nlives = 1\n'
+    assert refusal(tmp_path, pets).endswith("known keys: name")
+    assert "unknown field `lives`" in refusal(tmp_path, 'name = "a"\n[named.x]\nlives = 1\n')
 
 
 def test_wrong_type_missing_key_and_bad_syntax(tmp_path: Path) -> None:
