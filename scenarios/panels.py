@@ -30,6 +30,8 @@ MODE_COLOURS = {
     "indi-rls-signfree": "#000000",
 }
 """Okabe and Ito's colours, told apart by the colour-blind; the recipe gives the hue, hard or soft its depth."""
+ROOM_FOR_LABEL = 10.0
+"""A fault that begins later than this [s] is named before its line, where no loss is marked over it."""
 MOST_ROWS = 12
 """A larger cast does not get a row for each member."""
 CAST_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8c6d31", "#000000")
@@ -93,9 +95,11 @@ def shade_fault(ax: Axes, flight: FlightTrace, label: bool = False) -> None:
         ax.axvspan(start, end, color=FAULT, alpha=0.09, lw=0, zorder=0)
         ax.axvline(start, color=FAULT, lw=1.0, zorder=1)
     if label and spans:
+        start = spans[0][0]
+        before = start > ROOM_FOR_LABEL
         ax.annotate(
-            "fault", (spans[0][0], 1.0), (3, -2), xycoords=("data", "axes fraction"),
-            textcoords="offset points", color="#9c4a7c", fontsize=8, va="top",
+            "fault", (start, 1.0), (-3 if before else 3, -2), xycoords=("data", "axes fraction"),
+            textcoords="offset points", color="#9c4a7c", fontsize=8, va="top", ha="right" if before else "left",
         )  # fmt: skip
 
 
