@@ -40,7 +40,7 @@ class LazyGroup(click.Group):
                 raise
             extra = "export" if module.startswith("export") else "sim"
             raise UserError(
-                f"'understudy {cmd_name}' needs {error.name}, which is not installed; in the repository: pip install '.[{extra}]'"
+                f"'understudy {cmd_name}' needs {error.name}, which is not installed; here: pip install '.[{extra}]'"
             ) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
