@@ -31,10 +31,10 @@ class ActorSettings(Settings, frozen=True):
     """Normalised hidden layers after the input layer."""
     activation: Activation = "tanh"
     layer_norm: Literal["none", "standard"] = "standard"
-    input_scale: tuple[Positive, ...] = (1.0,) * 7
-    """Fixed factors on theta_e, phi_e, beta_e, p, q, r [1/rad, s/rad] and alpha [1/rad]; 1 as published."""
-    action_offset: tuple[float, ...] = (0.0,) * 3
-    """Deflection of elevator, aileron, rudder [rad] at zero network output; 0 as published."""
+    input_scale: tuple[Positive, ...] = ()
+    """Fixed factors on theta_e, phi_e, beta_e, p, q, r [1/rad, s/rad] and alpha [1/rad]; empty: ones, as published."""
+    action_offset: tuple[float, ...] = ()
+    """Deflection of elevator, aileron, rudder [rad] at zero network output; empty: zeros, as published."""
 
 
 class TD3Settings(Settings, frozen=True):
@@ -51,6 +51,10 @@ class TD3Settings(Settings, frozen=True):
     critic_layer_norm: Literal["none", "standard"] = "standard"
     sigma: NonNegative = 0.29
     """Standard deviation of exploration and target noise, in units of the action's bound (eq. 3)."""
+    target_noise: bool = True
+    """Smooth the targets with noise (eq. 3); off as in DDPG."""
+    twin: bool = True
+    """Two critics, the smaller of which counts (eq. 1); one as in DDPG."""
     noise_clip: NonNegative = 0.5
     """Both noises are clipped to this, in units of the action's bound."""
     policy_delay: Count = 3
@@ -127,6 +131,21 @@ class TaskSettings(Settings, frozen=True):
         return round(self.duration / DT)
 
 
+class EnvironmentSettings(Settings, frozen=True):
+    """A Gymnasium environment in the place of the Citation (``export.training.gymnasium_rollouts``)."""
+
+    id: str
+    """As ``gymnasium.make`` takes it: ``Pendulum-v1``, or ``module:name`` for one that a module registers."""
+    arguments: dict[str, bool | int | float | str] = {}
+    """Keyword arguments of the environment."""
+    ticks: Annotated[int, Meta(ge=0)] = 0
+    """Most steps of an episode; 0: the environment's own time limit."""
+    validation_episodes: Count = 20
+    """Episodes, of seeds that training does not see, by which the champion is picked and the curve's bands are made."""
+    validation_frames: Count = 40_000
+    """Frames between two points of that curve."""
+
+
 class TrainingConfig(Settings, frozen=True):
     """One training run."""
 
@@ -138,6 +157,8 @@ class TrainingConfig(Settings, frozen=True):
     td3: TD3Settings = TD3Settings()
     genetic: GeneticSettings = GeneticSettings()
     task: TaskSettings = TaskSettings()
+    environment: EnvironmentSettings | None = None
+    """Trained on in the place of the Citation's ``task``."""
     validation_references: Count = 5
     """Evaluation references (80 s) by which the champion is picked when the run ends."""
     checkpoint_seconds: NonNegative = 60.0
@@ -150,10 +171,6 @@ class TrainingConfig(Settings, frozen=True):
                 f"genetic.stored_evaluations: expected at most genetic.evaluations = {self.genetic.evaluations}, "
                 f"got {self.genetic.stored_evaluations}"
             )
-        for name, length in (("input_scale", 7), ("action_offset", 3)):
-            got = len(getattr(self.actor, name))
-            if got != length:
-                raise ValueError(f"actor.{name}: expected {length} numbers, got {got}")
 
 
 def load(name_or_path: str) -> TrainingConfig:
@@ -172,7 +189,7 @@ def load(name_or_path: str) -> TrainingConfig:
 
 def as_toml(config: TrainingConfig) -> str:
     """Return the whole configuration, defaults included, as TOML that :func:`load` reads."""
-    values = msgspec.to_builtins(config)
+    values = {key: value for key, value in msgspec.to_builtins(config).items() if value is not None}
     lines = [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for table, rows in values.items():
         if isinstance(rows, dict):
@@ -181,4 +198,6 @@ def as_toml(config: TrainingConfig) -> str:
 
 
 def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
     return msgspec.json.encode(value).decode()  # of strings, numbers, booleans and lists TOML writes the same

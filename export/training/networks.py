@@ -17,17 +17,34 @@ from torch.nn.functional import leaky_relu_
 
 from export.network import Layer, Network, layout, n_parameters
 from export.training.config import ActorSettings, TD3Settings
-from task.state import N_ACTION
+from task.errors import UserError
+from task.limits import ACTION_HIGH
+from task.state import N_OBSERVATION
 
 
-def actor_network(settings: ActorSettings) -> Network:
-    """Return the actor's description; the action is a deflection [rad]."""
+def actor_network(
+    settings: ActorSettings,
+    observation: int = N_OBSERVATION,
+    action_scale: tuple[float, ...] = tuple(ACTION_HIGH.tolist()),
+) -> Network:
+    """Return the description of an actor that sees ``observation`` numbers; ``action_scale``: bound of each action.
+
+    Raises UserError when the scales that the settings give do not fit these sizes.
+    """
+    inputs = settings.input_scale or (1.0,) * observation
+    offset = settings.action_offset or (0.0,) * len(action_scale)
+    for name, values, length in (("input_scale", inputs, observation), ("action_offset", offset, len(action_scale))):
+        if len(values) != length:
+            raise UserError(f"actor.{name}: expected {length} numbers for this task, got {len(values)}; give as many")
     plain = Layer(units=settings.width, activation=settings.activation)
     normalised = Layer(units=settings.width, layer_norm=settings.layer_norm, activation=settings.activation)
     return Network(
-        layers=(plain, *[normalised] * settings.hidden, Layer(units=N_ACTION, activation="tanh")),
-        input_scale=settings.input_scale,
-        action_offset=settings.action_offset,
+        layers=(plain, *[normalised] * settings.hidden, Layer(units=len(action_scale), activation="tanh")),
+        observation=observation,
+        action=len(action_scale),
+        input_scale=inputs,
+        action_scale=action_scale,
+        action_offset=offset,
     )
 
 

@@ -19,7 +19,10 @@ from export.training.checkpoint import atomic
 from export.training.config import TrainingConfig, as_toml
 from export.training.curve import Row
 from export.training.evaluate import Scores, evaluate, evaluation_references
+from export.training.flights import Fleet
+from export.training.rollouts import Rollouts
 from export.training.train import CHECKPOINT, Trainer, train
+from sim_bridge.conditions import FlightCondition
 from task.errors import UserError
 
 CONFIG, CURVE, PICTURE = TRAINING_RECORDS
@@ -27,9 +30,12 @@ VALIDATION_STREAM = 1_000_003
 """Added to the run's seed: references of the validation are of another stream than those of the training."""
 
 
-def start(config: TrainingConfig, folder: Path, device: torch.device, resume: bool) -> Trainer:
+def start(
+    config: TrainingConfig, folder: Path, device: torch.device, resume: bool, rollouts: Rollouts | None = None
+) -> Trainer:
     """Make the folder and return a trainer: the checkpoint's when there is one and ``resume``, or a new one.
 
+    It learns in the Citation's world unless given other ``rollouts``.
     Raises UserError when the checkpoint is of another configuration, or the folder cannot be written.
     """
     try:
@@ -38,7 +44,9 @@ def start(config: TrainingConfig, folder: Path, device: torch.device, resume: bo
         raise UserError(f"{folder}: cannot make the run's folder: {error.strerror}; choose another --out") from None
     checkpoint = folder / CHECKPOINT
     found = resume and checkpoint.exists()
-    trainer = Trainer.resume(checkpoint, config, device) if found else Trainer(config, device)
+    trainer = (
+        Trainer.resume(checkpoint, config, device, rollouts) if found else Trainer(config, device, rollouts)
+    )
     with atomic(folder / CONFIG) as file:
         file.write(as_toml(config).encode())
     return trainer
@@ -62,8 +70,9 @@ def run(
 def write_population(trainer: Trainer, folder: Path) -> Scores:
     """Score every policy on validation references, pick the champion, write parameters and description."""
     config, parameters = trainer.config, trainer.members()
-    references = evaluation_references(trainer.fleet, config.seed + VALIDATION_STREAM, config.validation_references)
-    scores = evaluate(trainer.fleet, trainer.network, parameters, references)
+    fleet = Fleet(FlightCondition(altitude=config.task.altitude, speed=config.task.speed))
+    references = evaluation_references(fleet, config.seed + VALIDATION_STREAM, config.validation_references)
+    scores = evaluate(fleet, trainer.network, parameters, references)
     names = [f"actor_{i}" for i in range(len(parameters) - 1)] + ["td3"]
     members = tuple(
         Member(

@@ -14,37 +14,29 @@ import torch
 from export.training import checkpoint
 from export.training.config import TrainingConfig
 from export.training.curve import Row
-from export.training.flights import Fleet, Flights, draw_references
+from export.training.flights import Flights
 from export.training.memory import Replay
 from export.training.networks import actor_network
 from export.training.population import Population
+from export.training.rollouts import CitationRollouts, Rollouts
 from export.training.td3 import TD3
-from sim_bridge.plant import FlightCondition
-from task.limits import DT
-from task.reward import CRASH_COST_PER_FRAME, crash_penalty
 
 CHECKPOINT = "checkpoint.npz"
-
-
-def discounted_penalty(frames_left: int, gamma: float) -> float:
-    """Return -sum_{i < n} gamma^i C_P: eq. 13 as the critic of eq. 1 would have summed it frame by frame."""
-    series = (1.0 - gamma**frames_left) / (1.0 - gamma) if gamma < 1.0 else float(frames_left)
-    return -CRASH_COST_PER_FRAME * series
 
 
 class Trainer:
     """Everything that learns, and the streams of chance that it draws from."""
 
-    def __init__(self, config: TrainingConfig, device: torch.device) -> None:
-        """Start a run from its configuration and seed alone."""
+    def __init__(self, config: TrainingConfig, device: torch.device, rollouts: Rollouts | None = None) -> None:
+        """Start a run from its configuration and seed alone, in the Citation's world unless given another."""
         self.config = config
-        self.network = actor_network(config.actor)
+        self.rollouts = rollouts or CitationRollouts(config.task, config.td3.discount_penalty)
+        self.network = actor_network(config.actor, self.rollouts.observation, self.rollouts.action_scale)
         self.input_scale = np.array(self.network.input_scale, dtype=np.float32)
         start = torch.Generator().manual_seed(config.seed)
         self.population = Population(self.network, config.genetic, start, device)
         self.learner = TD3(self.network, config.td3, start, device)
         self.replay = Replay(config.td3.buffer, self.network.observation, self.network.action, device)
-        self.fleet = Fleet(FlightCondition(altitude=config.task.altitude, speed=config.task.speed))
         self.rng = np.random.default_rng(config.seed)
         self.generator = torch.Generator(device).manual_seed(config.seed)
         self.curve: list[Row] = []
@@ -75,13 +67,13 @@ class Trainer:
         return self.curve[-1]
 
     def _fly(self) -> Flights:
-        """Fly every policy on references common to all; the TD3 actor explores where transitions are stored."""
-        task, genetic, td3 = self.config.task, self.config.genetic, self.config.td3
-        references = draw_references(self.rng, genetic.evaluations, task.duration, self.fleet.theta_trim, task.family)
-        noise = np.zeros((task.ticks, genetic.evaluations, self.network.action), dtype=np.float32)
+        """Fly every policy on tasks common to all; the TD3 actor explores where transitions are stored."""
+        genetic, td3 = self.config.genetic, self.config.td3
+        tasks = self.rollouts.draw(self.rng, genetic.evaluations)
+        noise = np.zeros((self.rollouts.ticks, genetic.evaluations, self.network.action), dtype=np.float32)
         explored = noise[:, -genetic.stored_evaluations :]
         explored[:] = np.clip(td3.sigma * self.rng.standard_normal(explored.shape), -td3.noise_clip, td3.noise_clip)
-        return self.fleet.fly(self.network, self.members(), references, noise)
+        return self.rollouts.fly(self.network, self.members(), tasks, noise)
 
     def _fitness(self, flights: Flights) -> np.ndarray:
         """Return each policy's mean return (eq. 4), with Sm (eq. 16) where asked; shape (N + 1,).
@@ -101,20 +93,17 @@ class Trainer:
         """Store the last flights of everyone in the shared and the own memories; return how many frames."""
         stored = self.config.genetic.stored_evaluations
         self.population.remember(flights, stored, self.input_scale)
+        learnt = self.rollouts.learnt_reward(flights, self.config.td3.gamma)
         frames = 0
         for p, e in np.ndindex(flights.length.shape):
             if e < flights.length.shape[1] - stored:
                 continue
             n = int(flights.length[p, e])
             s = flights.observation[: n + 1, p, e] * self.input_scale
-            reward = flights.reward[:n, p, e].copy()
             continues = np.ones((n, 1), dtype=np.float32)
             if flights.lost[p, e]:
                 continues[-1] = 0.0
-                if self.config.td3.discount_penalty:
-                    left = flights.u.shape[0] - n
-                    reward[-1] += discounted_penalty(left, self.config.td3.gamma) - crash_penalty(left * DT)
-            rows = np.concatenate([s[:-1], flights.u[:n, p, e], reward[:, None], s[1:], continues], axis=1)
+            rows = np.concatenate([s[:-1], flights.u[:n, p, e], learnt[:n, p, e, None], s[1:], continues], axis=1)
             self.replay.add(torch.from_numpy(rows))
             frames += n
         return frames
@@ -178,11 +167,13 @@ class Trainer:
         checkpoint.save(path, tensors, meta)
 
     @classmethod
-    def resume(cls, path: Path, config: TrainingConfig, device: torch.device) -> Trainer:
+    def resume(
+        cls, path: Path, config: TrainingConfig, device: torch.device, rollouts: Rollouts | None = None
+    ) -> Trainer:
         """Continue a run; raise UserError when the checkpoint is of another configuration."""
         tensors, meta = checkpoint.load(path)
         checkpoint.require_same(path, meta["config"], config)
-        trainer = cls(config, device)
+        trainer = cls(config, device, rollouts)
         trainer.population.restore(checkpoint.part(tensors, "population"))
         trainer.learner.restore(checkpoint.part(tensors, "learner"))
         trainer.replay.restore(checkpoint.part(tensors, "replay"))

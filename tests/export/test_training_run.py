@@ -24,7 +24,8 @@ from export.training.cli import train as command
 from export.training.config import CONFIGS, TrainingConfig, as_toml, load
 from export.training.curve import Row, draw, write_csv
 from export.training.report import main as report
-from export.training.train import CHECKPOINT, Trainer, discounted_penalty
+from export.training.rollouts import discounted_penalty
+from export.training.train import CHECKPOINT, Trainer
 from task import results
 from task.errors import UserError
 
@@ -194,7 +195,7 @@ def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Pa
     path = tmp_path / "bad.toml"
     path.write_text(edits[change])
     with pytest.raises(UserError, match=message):
-        load(str(path))
+        Trainer(load(str(path)), CPU)
 
 
 def test_unknown_configuration_and_device_are_one_line(tiny: Path, tmp_path: Path) -> None:
@@ -244,7 +245,7 @@ def test_memory_holds_the_transitions_as_flown() -> None:
 def test_only_the_td3_actor_explores_and_only_where_it_is_remembered() -> None:
     t = trainer(evaluations=2)
     flights = t._fly()
-    calm = t.fleet.fly(t.network, t.members(), np.zeros((2, 101, 3)))
+    calm = t.rollouts.fly(t.network, t.members(), np.zeros((2, 101, 3)), np.zeros((100, 2, 3)))
     assert flights.u.shape == calm.u.shape
     jump = np.abs(np.diff(flights.u, axis=0)).mean(axis=(0, 3))
     assert jump[-1, 1] > 0.1
