@@ -58,9 +58,14 @@ def part(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:
 def require_same(path: Path, saved: dict[str, Any], config: object) -> None:
     """Raise UserError, naming the first difference, unless a checkpoint was made with this configuration.
 
-    How long to train and how often to save may change between two starts of one run.
+    How long to train and how often to save may change between two starts of one run. A setting that did not exist
+    when the checkpoint was made had its default.
     """
     free = ("frames", "checkpoint_seconds")
+    try:
+        saved = msgspec.json.decode(msgspec.json.encode(msgspec.convert(saved, type(config))))
+    except msgspec.ValidationError as error:
+        raise UserError(f"{path}: made by another version ({error}); start afresh with --fresh") from None
     wanted = msgspec.json.decode(msgspec.json.encode(config))
     for key in wanted:
         old, new = saved.get(key), wanted[key]

@@ -13,6 +13,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from export.training import gymnasium_run
 from export.training.config import TrainingConfig, load
 from export.training.curve import Row
 from export.training.evaluate import Scores
@@ -78,6 +79,17 @@ def _show(console: Console, trainer: Trainer, scores: Scores, folder: Path) -> N
     console.print(f"Population in {folder}; export it with: understudy export {folder} populations/{folder.name}")
 
 
+def _show_returns(console: Console, config: TrainingConfig, returns: np.ndarray, folder: Path) -> None:
+    table = Table(title=f"{config.name}: returns of {returns.shape[1]} validation episodes")
+    for column in ("actor", "mean", "standard deviation", "worst"):
+        table.add_column(column, justify="right")
+    for i in np.argsort(-returns.mean(axis=1)):
+        name = "td3" if i == len(returns) - 1 else f"actor_{i}"
+        table.add_row(name, *(f"{value:.1f}" for value in (returns[i].mean(), returns[i].std(), returns[i].min())))
+    console.print(table)
+    console.print(f"Agents in {folder}")
+
+
 @click.command()
 @click.argument("config")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the run.  [default: runs/NAME]")
@@ -97,20 +109,29 @@ def train(
     threads: int,
     device: str,
 ) -> None:
-    """Train a population with SERL. CONFIG: serl10, serl50, td3, small, or a path to a TOML file."""
+    """Train a population with SERL. CONFIG: a name in export/training/configs (serl10, ...), or a path to a TOML file.
+
+    A configuration with an [environment] trains on that Gymnasium environment.
+    """
     settings = load(config)
     changes = {k: v for k, v in (("seed", seed), ("frames", frames)) if v is not None}
     settings = msgspec.structs.replace(settings, **changes)
     folder = out or Path("runs") / settings.name
     torch.set_num_threads(threads)
     console = Console(soft_wrap=True)
-    trainer = start(settings, folder, _device(device), resume)
+    rollouts = gymnasium_run.Watched(settings.environment) if settings.environment else None
+    trainer = start(settings, folder, _device(device), resume, rollouts)
     if trainer.curve:
         console.print(f"resumed at generation {trainer.curve[-1].generation}, frame {trainer.frames:,}")
-    scores = run(trainer, folder, _Progress(settings, console, trainer.frames), _Interrupt())
-    if scores is None:
+    progress, stop = _Progress(settings, console, trainer.frames), _Interrupt()
+    returns = gymnasium_run.run(trainer, folder, progress, stop) if rollouts else None
+    scores = None if rollouts else run(trainer, folder, progress, stop)
+    if returns is not None:
+        _show_returns(console, settings, returns, folder)
+    elif scores is not None:
+        _show(console, trainer, scores, folder)
+    else:
         raise UserError(f"stopped at frame {trainer.frames:,} of {settings.frames:,}; the same command goes on")
-    _show(console, trainer, scores, folder)
 
 
 def _device(name: str) -> torch.device:

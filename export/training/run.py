@@ -44,9 +44,7 @@ def start(
         raise UserError(f"{folder}: cannot make the run's folder: {error.strerror}; choose another --out") from None
     checkpoint = folder / CHECKPOINT
     found = resume and checkpoint.exists()
-    trainer = (
-        Trainer.resume(checkpoint, config, device, rollouts) if found else Trainer(config, device, rollouts)
-    )
+    trainer = Trainer.resume(checkpoint, config, device, rollouts) if found else Trainer(config, device, rollouts)
     with atomic(folder / CONFIG) as file:
         file.write(as_toml(config).encode())
     return trainer

@@ -25,7 +25,7 @@ def target_action(u: Tensor, noise: Tensor, clip: float) -> Tensor:
 def bellman_target(reward: Tensor, continues: Tensor, q_next: Tensor, gamma: float) -> Tensor:
     """Return y = r + gamma min_i Q_targ,i(s', u') (eq. 1), nothing beyond a lost flight.
 
-    q_next: (2, B, 1) of the twin target critics; result (B, 1).
+    q_next: (2, B, 1) of the twin target critics, or (1, B, 1) of a single one; result (B, 1).
     """
     return reward + gamma * continues * q_next.amin(0)
 
@@ -43,7 +43,10 @@ def caps_gradient(u: Tensor, u_near: Tensor, u_next: Tensor, lambda_s: float, la
 
 
 class TD3:
-    """The gradient learner: one actor, twin critics, their targets."""
+    """The gradient learner: one actor, twin critics, their targets.
+
+    With a single critic, no noise on the targets and no policy delay it is DDPG.
+    """
 
     def __init__(
         self, network: Network, settings: TD3Settings, generator: torch.Generator, device: torch.device
@@ -52,7 +55,8 @@ class TD3:
         self.settings = settings
         critic = critic_network(network, settings)
         self.actor = Trainable(network, initialise(network, 1, generator).to(device), settings.learning_rate)
-        self.critics = Trainable(critic, initialise(critic, 2, generator).to(device), settings.learning_rate)
+        critics = initialise(critic, 2 if settings.twin else 1, generator)
+        self.critics = Trainable(critic, critics.to(device), settings.learning_rate)
         self.actor_target = self.actor.packed.clone()
         self.critics_target = self.critics.packed.clone()
         self._actor_target = Stack(network, pieces(network, self.actor_target))
@@ -79,7 +83,7 @@ class TD3:
         for start in range(0, groups, GROUPS):
             count = min(GROUPS, groups - start)
             block = replay.sample(count, s.policy_delay * s.batch, generator)
-            noise = s.sigma * _normal(block.action, generator)
+            noise = (s.sigma if s.target_noise else 0.0) * _normal(block.action, generator)
             near = s.caps_sigma * self.input_scale * _normal(block.state[:, : s.batch], generator)
             for i in range(count):
                 group = Block(*(tensor[i] for tensor in block))
@@ -104,7 +108,7 @@ class TD3:
         error = self.critics(state_action) - y
         self.critics.backward(error * (2.0 / error.shape[1]))
         self.critics.step(self.settings.gradient_clip)
-        return error.square().mean() * 2.0
+        return error.square().mean() * error.shape[0]
 
     def _actor_step(self, state: Tensor, next_state: Tensor, noise: Tensor) -> Tensor:
         """Ascend Q_1(s, mu(s)) (eq. 2, with the first critic as in TD3) less CAPS (eq. 15); return mean Q."""
