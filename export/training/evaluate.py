@@ -1,32 +1,40 @@
-"""How well every actor flies: nMAE and smoothness on references that training has not seen."""
+"""How well, how smoothly and how safely every actor flies, on references that training has not seen."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from export.network import Network
-from export.training.flights import Fleet, draw_references
-from sim_bridge.plant import Plant
+from export.training.flights import Fleet, Flights, draw_references
 from task.metrics import nmae
 from task.state import N_REFERENCE
 
 DURATION = 80.0
 """Length of an evaluation flight [s] (thesis section III.E)."""
+SATURATED = 0.999
+"""A command from this part of its bound on counts as saturated; tanh never reaches the bound itself."""
 
 
 class Scores(NamedTuple):
-    """Of P actors on E references; each (P, E)."""
+    """Of P actors on E references; each (P, E) but ``mae``; over the part that was flown."""
 
     nmae: np.ndarray
-    """[%], over the part that was flown."""
+    """[%]."""
     smoothness: np.ndarray
     """Sm of eq. 16 [rad Hz]."""
     returns: np.ndarray
     lost: np.ndarray
     """The flight ended before its time."""
+    mae: np.ndarray
+    """(P, E, 3) mean absolute error of theta, phi, beta [rad]."""
+    unsafe: np.ndarray
+    """Samples beyond the bounds of eq. 14."""
+    saturated: np.ndarray
+    """Part of the samples with a command at its bound, 0 to 1."""
+    length: np.ndarray
+    """Samples flown."""
 
     def ranking(self) -> np.ndarray:
         """Return each actor's mean nMAE [%], infinite where it lost a flight; shape (P,)."""
@@ -38,17 +46,29 @@ def evaluation_references(fleet: Fleet, seed: int, count: int, duration: float =
     return draw_references(np.random.default_rng(seed), count, duration, fleet.theta_trim, "evaluation")
 
 
-def evaluate(
-    fleet: Fleet,
-    network: Network,
-    parameters: np.ndarray,
-    references: np.ndarray,
-    prepare: Callable[[Plant], None] | None = None,
-) -> Scores:
-    """Fly actors (P, K) on references (E, T + 1, 3); ``prepare`` breaks each aircraft after its reset."""
-    flights = fleet.fly(network, parameters, references, prepare=prepare)
+def score(network: Network, flights: Flights) -> Scores:
+    """Return the scores of flights that were flown."""
     errors = flights.observation[1:, ..., :N_REFERENCE]
-    score = np.empty(flights.length.shape)
+    shape = flights.length.shape
+    error, saturated = np.empty(shape), np.empty(shape)
+    mae = np.empty((*shape, N_REFERENCE))
     for i, n in np.ndenumerate(flights.length):
-        score[i] = nmae(errors[(slice(n), *i)].astype(float))
-    return Scores(score, flights.smoothness(np.array(network.action_scale)), flights.returns(), flights.lost)
+        flown = (slice(n), *i)
+        e = errors[flown].astype(float)
+        error[i], mae[i] = nmae(e), np.abs(e).mean(axis=0)
+        saturated[i] = (np.abs(flights.u[flown]) >= SATURATED).any(axis=1).mean()
+    return Scores(
+        nmae=error,
+        smoothness=flights.smoothness(np.array(network.action_scale)),
+        returns=flights.returns(),
+        lost=flights.lost,
+        mae=mae,
+        unsafe=(flights.unsafe & flights.flown()).sum(axis=0),
+        saturated=saturated,
+        length=flights.length,
+    )
+
+
+def evaluate(fleet: Fleet, network: Network, parameters: np.ndarray, references: np.ndarray) -> Scores:
+    """Fly actors (P, K) on references (E, T + 1, 3) [rad] and score them."""
+    return score(network, fleet.fly(network, parameters, references))

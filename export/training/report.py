@@ -14,31 +14,22 @@ from rich.console import Console
 from rich.table import Table
 
 from export.population import Population, load_run
-from export.training.evaluate import DURATION, Scores, evaluate, evaluation_references
-from export.training.flights import Fleet
-from sim_bridge.conditions import NOMINAL, R1, R2
-from sim_bridge.plant import Plant
-from sim_bridge.presets import CASES
-from sim_bridge.schedule import FaultSchedule
+from export.study.cases import CASES, CaseFleet, choose
+from export.training.evaluate import DURATION, Scores, evaluation_references
+from export.training.evaluate import score as flights_scores
 from task import results
 from task.errors import UserError
 
-CONDITIONS = {"R1": R1, "R2": R2}
-KNOWN = ("nominal", *(case for case in CASES if case != "R3"), *CONDITIONS)
-"""Cases that hold from the start of a flight and leave the sensors as they are."""
+KNOWN = tuple(case.name for case in CASES)
 TARGET = 8.0
 """Champion's nominal nMAE [%] that this population is meant to stay below."""
 
 
 def score(population: Population, case: str, references: int, seed: int) -> Scores:
     """Fly every member on ``references`` evaluation references of 80 s in one case of the thesis's table 2."""
-    fleet = Fleet(CONDITIONS.get(case, NOMINAL))
-
-    def prepare(plant: Plant) -> None:
-        FaultSchedule(CASES[case]).apply(plant, 0.0)
-
+    fleet = CaseFleet(choose(case)[0])
     drawn = evaluation_references(fleet, seed, references)
-    return evaluate(fleet, population.network, population.parameters, drawn, prepare if case in CASES else None)
+    return flights_scores(population.network, fleet.fly_case(population.network, population.parameters, drawn, range(references)))
 
 
 def _mean(scores: Scores, member: int) -> str:

@@ -1,0 +1,20 @@
+"""``python -m export.study``: one subcommand for each table or figure of the thesis."""
+
+from __future__ import annotations
+
+import click
+
+from export.study.table71 import table71
+from understudy import run
+
+
+@click.group()
+def study() -> None:
+    """Measure the thesis's tables and figures again, on this aircraft."""
+
+
+for command in (table71,):
+    study.add_command(command)
+
+if __name__ == "__main__":
+    run(study)
