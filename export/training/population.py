@@ -53,7 +53,7 @@ class Population:
         for source, slot in plan.clones:
             self._copy(source, slot)
         self._cross(plan, fitness, q, rng, generator)
-        self._mutate(plan.mutants, generator)
+        self.mutate_slots(plan.mutants, generator)
         return reserved
 
     def inject(self, slot: int, parameters: Tensor) -> None:
@@ -106,7 +106,8 @@ class Population:
                 memory.clear(slot)
             self.memory.add(slot, states)
 
-    def _mutate(self, slots: list[int], generator: torch.Generator) -> None:
+    def mutate_slots(self, slots: list[int], generator: torch.Generator) -> None:
+        """Disturb the actors in ``slots`` with the operator of the settings (eq. 5 or 8)."""
         s = self.settings
         if not slots:
             return

@@ -158,7 +158,7 @@ def population(**changes: object) -> Population:
 
 
 def mutants(p: Population) -> torch.Tensor:
-    p._mutate([0, 1, 2, 3], torch.Generator().manual_seed(3))
+    p.mutate_slots([0, 1, 2, 3], torch.Generator().manual_seed(3))
     return p.parameters
 
 
