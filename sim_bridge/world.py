@@ -26,9 +26,10 @@ class World:
     when the aircraft cannot be trimmed to the flight's condition.
     """
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: Flight, plant: Plant | None = None) -> None:
+        """Begin a flight; ``plant``: an aircraft that flew before and is this flight's alone from now on."""
         noise, turbulence = np.random.SeedSequence(flight.seed).spawn(2)
-        self._plant = Plant()
+        self._plant = plant or Plant()
         self._sensors = Sensors(flight.sensors, np.random.default_rng(noise))
         self._schedule = FaultSchedule(flight.faults)
         self._injected: dict[Part, int] = {}

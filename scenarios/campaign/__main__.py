@@ -1,0 +1,184 @@
+"""``python -m scenarios.campaign``: faults x references x ways of adapting, flown in process, resumable."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from runtime.population import load_population
+from scenarios.campaign.claims import claims
+from scenarios.campaign.design import Cell, cells
+from scenarios.campaign.plots import draw
+from scenarios.campaign.report import tables
+from scenarios.campaign.rows import choose_rows, known_rows
+from scenarios.campaign.store import Journal, read_parquet, write_parquet
+from scenarios.campaign.suites import HALVES, SUITES, load_suite
+from scenarios.campaign.table import Campaign
+from scenarios.campaign.work import Done, Task, fly_all, plan
+from scenarios.cli import INTERRUPTED, console, default_jobs
+from scenarios.results_page import page
+from scenarios.run import find_population
+from task.errors import UserError
+from task.results import Result, read, write
+from understudy import run
+
+QUICK = ("none", "F5 elevator x 0.3", "elevator x -1", "commands 100 ms late")
+"""Faults of ``--quick``: one of each kind."""
+QUICK_ROWS = "members,understudy,structured,pid,indi-rls-signfree"
+
+
+def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: str, count: int) -> list[Cell]:
+    """Return the flights; ``faults``: only those whose name or group contains one of these words. Raises UserError."""
+    found = [cell for name in suites for cell in cells(load_suite(name), half, count)]  # type: ignore[arg-type]
+    kept = [c for c in found if not faults or any(word in c.fault or word == c.group for word in faults)]
+    if not kept:
+        raise UserError(f"--fault {', '.join(faults)}: no such fault; groups are {', '.join({c.group for c in found})}")
+    return kept
+
+
+def result(campaign: Campaign, information: dict[str, str], seconds: float, ours: str) -> Result:
+    """Return the result file of a campaign."""
+    flights = [r for row in campaign.rows.values() for r in row.values()]
+    faithful = "serl50" in information["population"]
+    robust = ", ".join(f"{suite}: {member}" for suite, member in sorted(campaign.robust.items()))
+    return Result(
+        title=f"The campaign: {information['population']}, half '{information['half']}'",
+        command=information["command"],
+        seconds=round(seconds, 1),
+        runs=len(flights) + sum(map(len, campaign.members.values())),
+        seeds=[],
+        claims=claims(campaign, ours, faithful),
+        tables=tables(campaign),
+        notes=[
+            "Every row flies the same references, faults, noise and air. Figures are taken from the moment of the "
+            "fault to the end of the flight of 40 s, also where there is no fault; those of lost flights are left out, "
+            "and the loss is counted.",
+            f"none: the champion throughout. robust: the one member that is best over the suite ({robust}), found on "
+            "these very flights. oracle: of each flight the best member in hindsight. Both from the moment of the "
+            "fault on; until then the champion flies.",
+            "A suited member survives with at most 1.2 times the oracle's nMAE plus 0.2 points; its time counts from "
+            "the fault to the first change of the cast to such a member.",
+            "Laws: gains tuned for the Citation (docs/laws.md). They are peers, not members of this cast.",
+        ],
+    )  # fmt: skip
+
+
+@click.command()
+@click.option("--suite", "suites", multiple=True, help="easy, hard, or a .toml file; may be repeated.  [default: both]")
+@click.option("--fault", "faults", multiple=True, help="Only faults whose name contains this, or of this group.")
+@click.option("--half", type=click.Choice(HALVES), default="reported", show_default=True,
+              help="Which of two disjoint halves is flown.")  # fmt: skip
+@click.option("--references", "count", type=click.IntRange(1, 999), default=30, show_default=True,
+              help="Flights of every fault; more later go on from these.")  # fmt: skip
+@click.option("--population", default="serl10-mirrors", show_default=True, help="Folder of the cast, or its name.")
+@click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all]")
+@click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
+@click.option("--ours", default="structured", show_default=True, help="The row that the claims are about.")
+@click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
+@click.option("--quick", is_flag=True, help="A few minutes: four faults, five rows, two references of each.")
+@click.option("--jobs", type=click.IntRange(1, 64), help="Processes.  [default: 2]")
+@click.option("--out", type=Path, help="Where flights and report go.  [default: flights/campaign/POPULATION-HALF]")
+@click.option("--results", type=Path, help="Also write campaign.json and campaign.parquet into this folder.")
+@click.option("--figures", type=Path, help="Write the figures campaign_*.png into this folder.  [default: OUT]")
+@click.option("--any-version", is_flag=True, help="Take flights that another version of the program flew.")
+@click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
+def main(
+    suites: tuple[str, ...], faults: tuple[str, ...], half: str, count: int, population: str, rows: str | None,
+    extra: tuple[str, ...], ours: str, robust: str, quick: bool, jobs: int | None, out: Path | None,
+    results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
+) -> None:  # fmt: skip
+    """Fly the campaign, or what of it was not flown yet; write flights (Parquet), tables and figures."""
+    screen = console()
+    if parquet is not None:
+        stored = read_parquet(parquet)
+        records, information, where = stored.records, stored.information, out or parquet.parent
+        spent = read(file).seconds if (file := parquet.with_suffix(".json")).exists() else 0.0
+    else:
+        if quick:
+            faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
+        folder = find_population(population)
+        cast = load_population(folder)
+        tasks = plan(chosen_cells(suites or SUITES, faults, half, count), choose_rows(rows, extra))
+        where = out or Path("flights/campaign") / f"{folder.name}-{half}"
+        jobs = jobs or default_jobs(realtime=False)
+        try:
+            done = fly(tasks, folder, cast.sha256, where, jobs, any_version, screen)
+        except KeyboardInterrupt:
+            click.echo(f"understudy: stopped; what was flown is kept in {where}, the same command goes on", err=True)
+            raise SystemExit(INTERRUPTED) from None
+        records, spent = [r for d in done for r in d.records], sum(d.seconds for d in done) / jobs
+        options: dict[str, str | tuple[str, ...]] = {
+            "--suite": suites, "--fault": () if quick else faults, "--half": half, "--population": population,
+            "--references": () if quick else str(count), "--rows": (rows or ()) if not quick else (), "--row": extra,
+            "--ours": ours, "--robust": robust or (),
+        }  # fmt: skip
+        information = {
+            "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
+            "command": command_line(options) + " --quick" * quick,
+        }  # fmt: skip
+        write_parquet(records, where / "campaign.parquet", information)
+    campaign = Campaign(records, information["champion"], robust)
+    found = result(campaign, information, spent, ours)
+    write("campaign", found, where)
+    (where / "report.md").write_text(page({"campaign": found}))
+    pictures = draw(campaign, figures or where)
+    if results is not None:
+        write("campaign", found, results)
+        write_parquet(records, results / "campaign.parquet", information)
+    show(screen, found)
+    screen.print(f"{len(records)} flights: {where / 'campaign.parquet'}\nReport: {where / 'report.md'}")
+    screen.print("Figures: " + ", ".join(str(path) for path in pictures))
+
+
+def command_line(options: dict[str, str | tuple[str, ...]]) -> str:
+    """Return the command that measures the same again."""
+    words = ["python -m scenarios.campaign"]
+    for name, value in options.items():
+        words += [f"{name} {shlex.quote(v)}" for v in ((value,) if isinstance(value, str) else value)]
+    return " ".join(words)
+
+
+def fly(
+    tasks: Sequence[Task], population: Path, sha256: str, where: Path, jobs: int, any_version: bool, screen: Console
+) -> list[Done]:
+    """Fly what was not flown yet, with a bar; raise KeyboardInterrupt after Ctrl-C or SIGTERM, and UserError."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    done = []
+    try:
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+            TimeRemainingColumn(), console=screen, disable=not screen.is_terminal,
+        ) as progress:  # fmt: skip
+            bar = progress.add_task(where.name, total=len(tasks))
+            for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
+                done.append(one)
+                progress.advance(bar)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return done
+
+
+def show(screen: Console, found: Result) -> None:
+    """Print the claims and the tables by suite."""
+    for table in found.tables:
+        if table.title.endswith("every row"):
+            shown = Table(title=table.title, title_justify="left", box=None, header_style="dim")
+            for i, column in enumerate(table.columns):
+                shown.add_column(column, justify="left" if i == 0 else "right")
+            for row in table.rows:
+                shown.add_row(*map(str, row))
+            screen.print(shown)
+    for claim in found.claims:
+        verdict = {True: "holds", False: "does not hold", None: ""}[claim.holds]
+        screen.print(f"{claim.claim}: {claim.value} {claim.unit}  [dim]{claim.target}[/] {verdict}")
+
+
+if __name__ == "__main__":
+    run(main)

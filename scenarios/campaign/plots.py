@@ -1,0 +1,64 @@
+"""Pictures of a campaign: who survives what, and how far from the best member in hindsight."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from scenarios.campaign.report import faults_of, rows_of
+from scenarios.campaign.rows import ORACLE
+from scenarios.campaign.statistics import median, survival
+from scenarios.campaign.table import Campaign
+from scenarios.figures import save
+from scenarios.panels import INK, STYLE
+
+LARGEST_RATIO = 4.0
+"""The scale of the second picture ends here [-]."""
+
+
+def draw(campaign: Campaign, folder: Path) -> list[Path]:
+    """Write campaign_<suite>.png of every suite; return their paths."""
+    return [save(picture(campaign, suite), folder / f"campaign_{suite}.png") for suite in campaign.suites]
+
+
+def picture(campaign: Campaign, suite: str) -> Figure:
+    """Return a suite at a glance: survival and nMAE over the oracle's, by fault (down) and row (across)."""
+    rows, faults = rows_of(campaign), faults_of(campaign, suite)
+    alive, ratio = np.full((len(faults), len(rows)), np.nan), np.full((len(faults), len(rows)), np.nan)
+    for i, fault in enumerate(faults):
+        oracle = campaign.pick(ORACLE, suite, fault=fault)
+        for j, row in enumerate(rows):
+            flights = campaign.pick(row, suite, fault=fault)
+            alive[i, j] = survival(flights)
+            both = [k for k, r in flights.items() if r.survived and k in oracle and oracle[k].survived]
+            ratio[i, j] = median([flights[k].nmae / oracle[k].nmae for k in both])
+    with mpl.rc_context(STYLE):  # type: ignore[arg-type]
+        figure = Figure(figsize=(4.0 + 0.86 * len(rows), 1.5 + 0.2 * len(faults)), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        _map(left, alive, "survivors %", "RdYlBu", 0.0, 100.0, "{:.0f}")
+        _map(right, np.log2(ratio), "nMAE over the oracle's, median of survivors", "RdYlBu_r",
+             -math.log2(LARGEST_RATIO), math.log2(LARGEST_RATIO), "{:.2g}", ratio)  # fmt: skip
+        left.set_yticks(range(len(faults)), faults)
+        for ax in (left, right):
+            ax.set_xticks(range(len(rows)), rows, rotation=45, ha="right", rotation_mode="anchor")
+            ax.grid(False)
+            ax.tick_params(length=0)
+            for spine in ax.spines.values():
+                spine.set_visible(False)
+    return figure
+
+
+def _map(
+    ax: mpl.axes.Axes, values: np.ndarray, title: str, colours: str, low: float, high: float, form: str,
+    shown: np.ndarray | None = None,
+) -> None:  # fmt: skip
+    """Draw one map with its numbers; what is not known stays white."""
+    ax.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", alpha=0.8)
+    ax.set_title(title)
+    for (i, j), value in np.ndenumerate(values if shown is None else shown):
+        if np.isfinite(value):
+            ax.text(j, i, form.format(value), ha="center", va="center", fontsize=6.5, color=INK)

@@ -1,0 +1,82 @@
+"""The rows of the tables: each a way of answering the same faults."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from runtime.config import PRESETS, Configuration, resolve
+from runtime.laws.catalogue import LAWS
+from scenarios.campaign.mirrored import MIRRORED
+from task.config import Settings
+from task.errors import UserError
+
+MEMBERS = "members"
+"""The task in which every member flies from the fault on, the champion until then: rows none, oracle and robust."""
+NONE, ORACLE, ROBUST = "none", "oracle", "robust"
+"""The champion throughout; of each flight the best member in hindsight; the one member that is best over a suite."""
+DERIVED = (NONE, ROBUST, ORACLE)
+"""Rows that follow from the flights of the members."""
+
+
+class Row(Settings, frozen=True):
+    """One way of adapting: a preset with changes, or a law in the cast's place."""
+
+    name: str
+    """How tables call it."""
+    preset: str = "understudy"
+    """Preset of the runtime."""
+    changes: tuple[str, ...] = ()
+    """``key=value`` over the preset, as the runtime's ``--set``."""
+    law: str | None = None
+    """A law that flies in the cast's place."""
+
+    def configuration(self, preview: bool) -> Configuration:
+        """Return the runtime's configuration. Raises UserError."""
+        if self.law is not None:
+            return resolve(overrides=("prior=none", *self.changes), switch="none")
+        return resolve(self.preset, overrides=(*self.changes, f"preview={str(preview).lower()}"))
+
+
+def known_rows() -> dict[str, Row]:
+    """Return every row by name: the recipe hard and soft, the presets, the frozen model, the laws."""
+    rows = [
+        Row(name="thesis-hard", preset="thesis", changes=("switch=hard",)),
+        Row(name="thesis-soft", preset="thesis"),
+        *(Row(name=preset, preset=preset) for preset in PRESETS if preset != "thesis"),
+        Row(name="frozen", changes=("identify=false",)),
+        *(Row(name=law, law=law) for law in (*LAWS, MIRRORED)),
+    ]
+    return {row.name: row for row in rows}
+
+
+def parse_row(text: str) -> Row:
+    """Return the row of ``NAME=PRESET[,key=value...]``. Raises UserError."""
+    name, equals, rest = text.partition("=")
+    preset, *changes = rest.split(",")
+    if not equals or not name or name in (MEMBERS, *DERIVED):
+        raise UserError(f"--row {text}: expected NAME=PRESET[,key=value...] with a name of its own")
+    row = Row(name=name, preset=preset, changes=tuple(changes))
+    row.configuration(True)
+    return row
+
+
+def choose_rows(names: str | None, extra: tuple[str, ...]) -> list[Row | Literal["members"]]:
+    """Return the rows of a comma-separated list (all of them without one) and those that ``extra`` describes.
+
+    The members' flights come with any of the rows that follow from them, and always in a full campaign.
+    """
+    known = known_rows()
+    wanted = [name.strip() for name in names.split(",")] if names else [MEMBERS, *known]
+    chosen: list[Row | Literal["members"]] = []
+    for name in dict.fromkeys(MEMBERS if name in DERIVED else name for name in wanted if name):
+        if name == MEMBERS:
+            chosen.append("members")
+        elif name in known:
+            chosen.append(known[name])
+        else:
+            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {', '.join([*DERIVED, *known])}")
+    chosen += [parse_row(text) for text in extra]
+    labels = [row if isinstance(row, str) else row.name for row in chosen]
+    if twice := {label for label in labels if labels.count(label) > 1}:
+        raise UserError(f"--row {min(twice)}: there is a row of this name already; give it another")
+    return chosen

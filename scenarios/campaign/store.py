@@ -1,0 +1,104 @@
+"""What a campaign keeps: a journal of flights while it goes on, and the Parquet file that the report is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+
+from scenarios.campaign.scores import Record
+from task.errors import UserError
+
+_KINDS = {str: pa.string(), int: pa.int32(), float: pa.float32(), bool: pa.bool_(),
+          list[float]: pa.list_(pa.float32()), list[str]: pa.list_(pa.string())}  # fmt: skip
+SCHEMA = pa.schema([(f.encode_name, _KINDS[f.type]) for f in msgspec.structs.fields(Record)])
+"""One row for each flight; the columns are the fields of :class:`scenarios.campaign.scores.Record`."""
+
+
+class Entry(msgspec.Struct, kw_only=True):
+    """One line of the journal: a task that was flown."""
+
+    key: str
+    """What was flown: cell, row and population."""
+    code: str
+    """With which program."""
+    seconds: float
+    """Wall time that it took."""
+    records: list[dict[str, Any]]
+    """Its flights."""
+
+
+class Journal:
+    """One line for each task, written as it is finished: what was killed goes on where it was."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def read(self) -> dict[str, list[Entry]]:
+        """Return what was flown, by key, the newest last; a line torn by a kill is passed over."""
+        found: dict[str, list[Entry]] = {}
+        if not self.path.exists():
+            return found
+        for line in self.path.read_bytes().splitlines():
+            try:
+                entry = msgspec.json.decode(line, type=Entry)
+            except msgspec.DecodeError:
+                continue
+            found.setdefault(entry.key, []).append(entry)
+        return found
+
+    def write(self, entry: Entry) -> None:
+        """Append one task."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("ab+") as file:
+            if file.tell():
+                file.seek(-1, 2)
+                torn = file.read(1) != b"\n"
+                file.write(b"\n" * torn)
+            file.write(msgspec.json.encode(entry) + b"\n")
+
+
+def plain(record: Record) -> dict[str, Any]:
+    """Return a record as the journal holds it: what is not known is left out."""
+    return {key: value for key, value in msgspec.to_builtins(record).items() if value == value}
+
+
+def from_plain(data: dict[str, Any]) -> Record:
+    """Return a record of the journal."""
+    return msgspec.convert(data, Record)
+
+
+def write_parquet(records: Iterable[Record], path: Path, information: dict[str, str]) -> Path:
+    """Write the flights in a fixed order, so that equal flights give an equal file, byte by byte."""
+    ordered = sorted(records, key=lambda r: (r.suite, r.fault, r.index, r.row, r.member))
+    columns = [
+        pa.array([getattr(r, field.name) for r in ordered], type=field.type, from_pandas=False) for field in SCHEMA
+    ]
+    table = pa.Table.from_arrays(columns, schema=SCHEMA.with_metadata(information))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path, compression="zstd", compression_level=19, use_dictionary=True)
+    return path
+
+
+class Stored(NamedTuple):
+    """A Parquet file."""
+
+    records: list[Record]
+    information: dict[str, str]
+    """Population, half, command."""
+
+
+def read_parquet(path: Path) -> Stored:
+    """Read what :func:`write_parquet` wrote. Raises UserError."""
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise UserError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())[:160]}") from None
+    if table.schema.names != SCHEMA.names:
+        raise UserError(f"{path}: not flights of this campaign: its columns are {', '.join(table.schema.names[:6])}...")
+    metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    return Stored([Record(**row) for row in table.to_pylist()], metadata)

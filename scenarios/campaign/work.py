@@ -1,0 +1,156 @@
+"""Flies what has not been flown yet, a core for each process; what is done is on disk at once."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import multiprocessing
+import signal
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import msgspec
+
+from runtime.population import load_population
+from scenarios.campaign.design import Cell
+from scenarios.campaign.flying import Flyer
+from scenarios.campaign.rows import MEMBERS, Row
+from scenarios.campaign.scores import Record
+from scenarios.campaign.store import Entry, Journal, from_plain, plain
+from task.errors import UserError
+
+ROOT = Path(__file__).resolve().parents[2]
+AIRCRAFT_SOURCES = ("sim_bridge", "task", "scenarios/campaign/flying.py", "scenarios/campaign/scores.py")
+"""What decides the flight of a member alone, beside its cell and the population."""
+MEMBER_SOURCES = (*AIRCRAFT_SOURCES, "runtime/population.py", "runtime/guard.py")
+ROW_SOURCES = (*AIRCRAFT_SOURCES, "runtime", "scenarios/campaign/mirrored.py")
+"""What decides the flight of a row."""
+
+
+class Task(NamedTuple):
+    """What one process does at a time: a cell in one row, or with every member."""
+
+    cell: Cell
+    row: Row | Literal["members"]
+
+    @property
+    def row_name(self) -> str:
+        """How the row is called."""
+        return self.row if isinstance(self.row, str) else self.row.name
+
+    def key(self, population: str) -> str:
+        """Return what names this task and everything that decides it but the program."""
+        row = self.row.encode() if isinstance(self.row, str) else msgspec.json.encode(self.row)
+        parts = (msgspec.json.encode(self.cell), row, population.encode())
+        return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
+
+
+class Done(NamedTuple):
+    """One task that was flown."""
+
+    task: Task
+    records: list[Record]
+    seconds: float
+    reused: bool
+
+
+@functools.cache
+def code_hash(places: tuple[str, ...]) -> str:
+    """Return a hash of the program's files below ``places``."""
+    total = hashlib.sha256()
+    for place in places:
+        path = ROOT / place
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.suffix in (".py", ".xml", ".json"):
+                total.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
+    return total.hexdigest()[:16]
+
+
+def code_of(task: Task) -> str:
+    """Return the hash of the program that flies a task."""
+    return code_hash(MEMBER_SOURCES if task.row == MEMBERS else ROW_SOURCES)
+
+
+def plan(cells: Iterable[Cell], rows: Sequence[Row | Literal["members"]]) -> list[Task]:
+    """Return the tasks, first flights of every fault first: what stops early is as balanced as it can be."""
+    return [Task(cell, row) for cell in sorted(cells, key=lambda c: c.index) for row in rows]
+
+
+def fly_all(
+    tasks: Sequence[Task],
+    population: Path,
+    sha256: str,
+    journal: Journal,
+    jobs: int,
+    any_version: bool = False,
+) -> Iterator[Done]:
+    """Fly what the journal does not have; yield every task as it is done, those flown before first.
+
+    ``sha256``: of the population. ``any_version``: take flights of another program too. Raises UserError when a flight
+    fails, after all others.
+    """  # fmt: skip
+    flown = journal.read()
+    waiting = []
+    for task in tasks:
+        entries = [e for e in flown.get(task.key(sha256), []) if any_version or e.code == code_of(task)]
+        if entries:
+            yield Done(task, [from_plain(r) for r in entries[-1].records], entries[-1].seconds, True)
+        else:
+            waiting.append(task)
+    errors = []
+    for task, records, seconds, error in _flights(waiting, population, jobs):
+        if error:
+            errors.append(f"{task.row_name}, {task.cell.name}: {error}")
+            continue
+        kept = [plain(record) for record in records]
+        journal.write(Entry(key=task.key(sha256), code=code_of(task), seconds=round(seconds, 3), records=kept))
+        yield Done(task, records, seconds, False)
+    if errors:
+        raise UserError(f"{len(errors)} of {len(tasks)} tasks failed, the others are kept; first: {errors[0]}")
+
+
+_Answer = tuple[Task, list[Record], float, str]
+
+
+def _flights(tasks: Sequence[Task], population: Path, jobs: int) -> Iterator[_Answer]:
+    if jobs == 1:
+        if tasks:
+            with Flyer(load_population(population)) as flyer:
+                for task in tasks:
+                    yield _answer(flyer, task)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, max(len(tasks), 1)), context, _begin, (population,))
+    try:
+        for future in as_completed([pool.submit(_work, task) for task in tasks]):
+            yield future.result()
+    except BaseException:
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _answer(flyer: Flyer, task: Task) -> _Answer:
+    began = time.perf_counter()
+    try:
+        records = flyer.fly_members(task.cell) if isinstance(task.row, str) else [flyer.fly(task.cell, task.row)]
+    except Exception as error:  # one flight must not end a night's campaign; it is named at the end
+        return task, [], 0.0, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    return task, records, time.perf_counter() - began, ""
+
+
+_FLYERS: list[Flyer] = []
+"""The one flyer of a process of the pool."""
+
+
+def _begin(population: Path) -> None:
+    """Prepare a process: Ctrl-C is for the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _FLYERS.append(Flyer(load_population(population)))
+
+
+def _work(task: Task) -> _Answer:
+    return _answer(_FLYERS[0], task)

@@ -1,0 +1,136 @@
+"""Paired statistics, derived rows and claims on flights made by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from scenarios.campaign.claims import claims
+from scenarios.campaign.report import tables
+from scenarios.campaign.scores import NAN, Events, Record
+from scenarios.campaign.statistics import interval, key, paired, suited, survival, time_to_suited
+from scenarios.campaign.table import Campaign
+from task.errors import UserError
+
+
+def flight(row: str, index: int, nmae: float | None, member: str = "", fault: str = "elevator x -1", **more) -> Record:
+    """Return a flight; without an nMAE it was lost after 2 s."""
+    lost = nmae is None
+    fields = {
+        "suite": "hard", "fault": fault, "group": "reversal", "index": index, "half": "tuning", "moment": "level",
+        "references": "evaluation", "trim": "nominal", "sensors": "ideal", "air": "still", "preview": True,
+        "fault_at": 10.0, "row": row, "member": member, "survived": not lost, "lost_after": 2.0 if lost else NAN,
+        "nmae": 50.0 if lost else nmae, "smoothness": -5.0, "largest_step": 1.0,
+    }  # fmt: skip
+    return Record(**(fields | more))
+
+
+def row(name: str, *nmae: float | None, **more) -> dict:
+    return {key(r): r for r in (flight(name, i, n, **more) for i, n in enumerate(nmae))}
+
+
+def test_paired_changes_losses_and_shares():
+    p = paired(row("a", 9.0, 10.3, 10.6, None, 5.0), row("none", 10.0, 10.0, 10.0, 10.0, None))
+    assert (p.flights, p.both, p.saved, p.lost) == (5, 3, 1, 1)
+    assert p.mean == pytest.approx((-10.0 + 3.0 + 6.0) / 3)
+    assert (p.median, p.worst) == (pytest.approx(3.0), pytest.approx(6.0))
+    assert p.of_means == pytest.approx(100.0 * (29.9 / 30.0 - 1.0))
+    assert p.slightly_worse == pytest.approx(100.0 * 3 / 5)
+    assert p.clearly_worse == pytest.approx(100.0 * 2 / 5)
+    assert p.low <= p.mean <= p.high
+
+
+def test_nothing_in_common_is_not_a_number_and_no_error():
+    p = paired(row("a", None), row("none", 3.0))
+    assert math.isnan(p.mean)
+    assert p.slightly_worse == 100.0
+    assert math.isnan(paired({}, row("none", 1.0)).clearly_worse)
+
+
+def test_the_interval_is_that_of_the_mean():
+    values = np.random.default_rng(1).normal(3.0, 2.0, 400)
+    low, high = interval(list(values))
+    assert (low, high) == pytest.approx((values.mean() - 0.196, values.mean() + 0.196), abs=0.03)
+    assert interval(list(values)) == (low, high)
+    assert math.isnan(interval([1.0])[0])
+
+
+def test_survival_among_those_that_another_row_survives():
+    ours, oracle = row("a", 1.0, None, None), row("oracle", 1.0, 1.0, None)
+    assert survival(ours) == pytest.approx(100.0 / 3)
+    assert survival(ours, oracle) == pytest.approx(50.0)
+
+
+def test_a_suited_member_is_near_the_best_and_its_time_counts_from_the_fault():
+    members = [flight("members", 0, n, m) for m, n in (("a", 1.0), ("b", 1.39), ("c", 1.41), ("d", None))]
+    assert suited(members) == {"a", "b"}
+    assert suited(members[3:]) == set()
+
+    def casting(*changes):
+        return flight("x", 0, 1.0, switched_at=[c[0] for c in changes], switched_to=[c[1] for c in changes])
+
+    assert time_to_suited(casting((-10.0, "c"), (-4.0, "d"), (0.3, "c"), (0.5, "b"), (2.0, "c")), {"a", "b"}) == 0.5
+    assert time_to_suited(casting((-10.0, "c"), (-4.0, "a"), (1.0, "c")), {"a"}) == 0.0
+    assert time_to_suited(casting((-10.0, "a"), (-4.0, "c")), {"a"}) == math.inf
+
+
+def campaign() -> Campaign:
+    best = ["good", "mirror"]
+    flown = {"good": (1.0, None, None), "mirror": (None, 1.2, 1.6), "calm": (3.0, 4.0, None)}
+    records = [flight("members", i, n, m) for m, ns in flown.items() for i, n in enumerate(ns)]
+    records += [
+        flight("structured", i, n, switched_at=[-10.0, 0.25], switched_to=best) for i, n in enumerate((1.1, 1.3, None))
+    ]
+    records += [flight("pid", i, n) for i, n in enumerate((0.5, None, None))]
+    return Campaign(records, "good")
+
+
+def test_rows_that_follow_from_the_members():
+    flown = campaign()
+    assert [r.member for r in flown.pick("oracle").values()] == ["good", "mirror", "mirror"]
+    assert [r.survived for r in flown.pick("none").values()] == [True, False, False]
+    assert flown.robust == {"hard": "mirror"}  # two of three, as calm, and more accurate
+    assert list(flown.rows) == ["none", "robust", "oracle", "structured", "pid"]
+    with pytest.raises(UserError, match="--robust odd: no such member; choose from good, mirror, calm"):
+        Campaign([flight("members", 0, 1.0, m) for m in ("good", "mirror", "calm")], "good", "odd")
+
+
+def test_claims_are_figures_of_the_flights_and_may_fail():
+    found = {c.claim: c for c in claims(campaign(), "structured", faithful=False)}
+    alive = found["structured, hard, sensors ideal: survives of what the oracle survives"]
+    assert (alive.value, alive.target, alive.holds) == (pytest.approx(66.67), ">= 98", False)
+    peer = found["structured, hard: survival less the best peer's (robust)"]
+    assert (peer.value, peer.holds) == (0.0, True)
+    ratio = found["structured, reversals: mean nMAE over the oracle's"]
+    assert (ratio.value, ratio.holds) == (pytest.approx(2.4 / 2.2, rel=1e-3), True)
+    time = found["structured, reversals: time to a suited member, median"]
+    assert (time.value, time.holds) == (0.25, True)
+    assert claims(campaign(), "not flown", faithful=False) == []
+
+
+def test_tables_show_losing_rows_beside_winning_ones():
+    by_title = {t.title: t for t in tables(campaign())}
+    faults = by_title["Suite hard: survivors, median nMAE %"]
+    assert faults.rows == [["elevator x -1", "1/3, 1.00", "2/3, 1.40", "3/3, 1.20", "2/3, 1.20", "1/3, 0.50"]]
+    suite = by_title["Suite hard: every row"]
+    ours = dict(zip(suite.columns, suite.rows[3], strict=True))
+    assert (ours["row"], ours["of the oracle's %"], ours["suited member s"]) == (
+        "structured",
+        pytest.approx(66.67),
+        0.25,
+    )
+    against = by_title["Suite hard: change of nMAE against none, flight by flight"]
+    pid = dict(zip(against.columns, against.rows[-1], strict=True))
+    assert (pid["row"], pid["mean change %"], pid["neither lost"]) == ("pid", -50.0, 1)
+
+
+def test_events_are_counted_against_the_runtimes_own():
+    events = Events(10.0, "good")
+    for line in ("9.00 s: alarm: a surface", "10.25 s: hard switch to good/-e: predicted -1.0, incumbent -9", "x"):
+        events.hear(line)
+    assert (events.alarms, events.switched_at, events.switched_to) == ([-1.0], [-10.0, 0.25], ["good", "good/-e"])
+    events.check(1, 1)
+    with pytest.raises(RuntimeError, match="the runtime counted"):
+        events.check(2, 1)
