@@ -10,11 +10,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from export.training.rollouts import discounted_penalty
 from sim_bridge.conditions import NOMINAL
 from sim_bridge.plant import Plant
-from task.limits import ACTION_HIGH, ACTION_LOW, DT
+from task.limits import ACTION_HIGH, ACTION_LOW
 from task.reference import Family, cosine_steps, n_samples
-from task.reward import crash_penalty, terminated, tracking_reward
+from task.reward import terminated, tracking_reward
 from task.state import ACTION, N_REFERENCE, REFERENCE, STATE
 
 ID = f"{__name__}:understudy/Pitch-v0"
@@ -24,6 +25,8 @@ DURATION = 20.0
 """Length of an episode [s]."""
 BOUND = np.array([4.0, 10.0, 4.0, 200.0], dtype=np.float32)
 """Bound of the observation space [rad, rad/s, rad, m/s]; an episode is over long before."""
+GAMMA = 0.99
+"""Discount of the penalty of a lost flight."""
 REFERENCES = Family(np.deg2rad(25.0), 0.0, 5, 1 / 6, None)
 """As the pitch of the training references (``task.reference``); the thesis's section 9.3 names no amplitude."""
 
@@ -39,7 +42,8 @@ class PitchEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Observation (4,) float32: theta_e = theta_ref - theta [rad], q [rad/s], alpha [rad] and V - V_trim [m/s]; the
     thesis gives V itself. Action (1,) float32: absolute elevator deflection [rad]. Reward: eq. 12 with no error in
-    roll and sideslip, so a third of what pitch can cost there, and eq. 13 when the flight is lost.
+    roll and sideslip, so a third of what pitch can cost there, and eq. 13 when the flight is lost, discounted as the
+    critic of eq. 1 would have summed it (:func:`export.training.rollouts.discounted_penalty`).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -77,7 +81,7 @@ class PitchEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._error[REFERENCE.theta] = s[0]
         reward = float(tracking_reward(self._error))
         if lost:
-            reward = -1.0 / 3.0 + float(crash_penalty((len(self.reference) - self._k) * DT))
+            reward = -1.0 / 3.0 + discounted_penalty(len(self.reference) - self._k, GAMMA)
             s = np.nan_to_num(s, nan=0.0, posinf=0.0, neginf=0.0)
         return s, reward, lost, not lost and self._k >= len(self.reference), {}
 

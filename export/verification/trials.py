@@ -1,0 +1,93 @@
+"""Landers on trial: policies flown in the nominal case and with each fault, and the pick of one for a fault."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from export.network import Network
+from export.training.config import EnvironmentSettings
+from export.training.gymnasium_rollouts import SEEDS, GymnasiumRollouts
+from export.verification.lander import FAULTS, ID, Fault
+
+TOGETHER = 200
+"""Landers that fly side by side; more would only cost memory."""
+SOLVED = 200.0
+"""Return from which on the thesis calls an episode solved."""
+
+
+class Cast(NamedTuple):
+    """Policies of one shape."""
+
+    network: Network
+    parameters: np.ndarray
+    """(P, K) float32."""
+
+    def pick(self, members: np.ndarray | list[int]) -> Cast:
+        """Return some of them."""
+        return Cast(self.network, self.parameters[members])
+
+
+class Landed(NamedTuple):
+    """Of P policies on E episodes."""
+
+    returns: np.ndarray
+    """(P, E)."""
+    behaviour: np.ndarray
+    """(P, E, 2) x and vertical velocity at touchdown (thesis eq. 4.2)."""
+    frames: int
+
+
+class Grounds:
+    """Where landers are tried: healthy ones, and ones with each fault."""
+
+    def __init__(self) -> None:
+        """Make the environments."""
+        self._rollouts = {
+            fault: GymnasiumRollouts(EnvironmentSettings(id=ID, arguments={"fault": fault})) for fault in FAULTS
+        }
+        self.episodes = 0
+        """Flown so far."""
+
+    def land(self, cast: Cast, fault: Fault, tasks: np.ndarray) -> Landed:
+        """Fly all policies through the episodes of the seeds ``tasks`` (E,)."""
+        rollouts, parts = self._rollouts[fault], []
+        step = max(TOGETHER // len(tasks), 1)
+        for start in range(0, len(cast.parameters), step):
+            flights = rollouts.fly(cast.network, cast.parameters[start : start + step], tasks)
+            shape = flights.length.shape
+            parts.append((flights.returns(), rollouts.attribute("impact", shape), int(flights.length.sum())))
+        returns, behaviour, frames = zip(*parts, strict=True)
+        self.episodes += len(cast.parameters) * len(tasks)
+        return Landed(np.concatenate(returns), np.concatenate(behaviour), sum(frames))
+
+
+def seeds(stream: int, count: int) -> np.ndarray:
+    """Return ``count`` seeds of episodes of a stream of its own, (count,) int64."""
+    return np.random.default_rng(stream).integers(SEEDS, size=count)
+
+
+def worst_case(returns: np.ndarray) -> float:
+    """Return the thesis's worst-case performance: the mean less half a standard deviation (section 4.5)."""
+    return float(returns.mean() - returns.std() / 2.0)
+
+
+class Choice(NamedTuple):
+    """A policy picked by trial."""
+
+    member: int
+    episodes: int
+    """Flown to find it."""
+
+
+def choose(grounds: Grounds, cast: Cast, fault: Fault, stream: int, first: int, then: int, keep: int) -> Choice:
+    """Pick a policy for a fault by trying: all on ``first`` episodes, the best ``keep`` of them on ``then`` more.
+
+    Nobody is told what is broken; the returns of the trials are all that is seen.
+    """
+    before = grounds.episodes
+    tried = grounds.land(cast, fault, seeds(stream, first)).returns.mean(axis=1)
+    best = np.argsort(-tried)[:keep]
+    again = grounds.land(cast.pick(best), fault, seeds(stream + 1, then)).returns.mean(axis=1)
+    return Choice(int(best[again.argmax()]), grounds.episodes - before)
