@@ -1,0 +1,116 @@
+"""A small cast from nothing: bred, interrupted, resumed, chosen, written."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from export.cast.breed import MAIN, Breeder
+from export.cast.cases import Case
+from export.cast.choose import tune, write
+from export.cast.config import CastSettings, SearchSettings, TrialSettings, load
+from export.mirrors import AXES
+from export.network import Layer
+from export.population import load_run
+from sim_bridge.faults import Effectiveness, Latency
+from task.config import convert
+from task.errors import UserError
+
+SEARCH = SearchSettings(population=4, iterations=2, references=1, tuning=1)
+SMALL = CastSettings(
+    name="small",
+    input_scale=(8.0, 8.0, 20.0, 4.0, 4.0, 4.0, 8.0),
+    main=SearchSettings(population=4, iterations=2, references=1, tuning=1, rounds=2, symmetric=True),
+    specialist=SEARCH,
+    robust=SEARCH,
+    trial=TrialSettings(duration=0.6, period=2.0, onset=(0.1, 0.3), decision=0.1),
+    gains=(1.0, 0.4),
+    tuning=1,
+    bred_for=("R1",),
+    cases=(
+        Case(name="elevator x -1", faults=(Effectiveness(surface="elevator", factor=-1.0),)),
+        Case(name="latency 100 ms", faults=(Latency(seconds=0.1),)),
+    ),
+)
+
+
+def quiet(line, final):
+    pass
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cast")
+    breeder = Breeder(SMALL, folder)
+    assert breeder.breed(quiet)
+    assert tune(breeder, quiet)
+    write(breeder)
+    return breeder
+
+
+def test_an_interrupted_run_ends_in_the_same_policies(run, tmp_path):
+    def after_one():
+        left.append(None)
+        return len(left) > 1
+
+    for _ in range(20):
+        left = []
+        if Breeder(SMALL, tmp_path).breed(quiet, after_one):
+            break
+    resumed = Breeder(SMALL, tmp_path)
+    assert resumed.bred.keys() == run.bred.keys()
+    for key, one in run.bred.items():
+        assert resumed.bred[key].parameters == one.parameters
+        assert resumed.bred[key].start == one.start
+
+
+def test_a_round_goes_on_from_the_last(run):
+    assert run.bred[MAIN, 0].start == "random"
+    assert run.bred[MAIN, 1].start == "round 1"
+    assert all(one.cost <= one.start_cost for one in run.bred.values())
+
+
+def test_the_run_is_a_population_with_the_main_member_first_and_all_its_mirrors(run):
+    population = load_run(run.folder)
+    names = [member.name for member in population.description.members]
+    assert population.description.champion == names[0] == MAIN
+    assert len(AXES) == sum(name.startswith(f"{MAIN}/-") for name in names)
+    np.testing.assert_array_equal(population.parameters[0], run.result(MAIN).astype(np.float32))
+    training = population.description.training
+    assert training["teachers"] == []
+    assert training["chosen"]["members"] == names
+    assert set(training["chosen"]["for_case"]) == set(run.cases)
+    assert set(population.description.members[0].scores) == set(run.cases)
+    assert convert(training["config"], CastSettings, "config") == SMALL
+
+
+def test_other_settings_are_refused(run):
+    other = msgspec.structs.replace(SMALL, seed=5)
+    with pytest.raises(UserError, match="bred with other settings"):
+        Breeder(other, run.folder)
+
+
+def test_more_rounds_go_on_with_what_is_there(run):
+    more = msgspec.structs.replace(SMALL, main=msgspec.structs.replace(SMALL.main, rounds=3))
+    assert (MAIN, 1) in Breeder(more, run.folder).bred
+
+
+def test_a_cast_is_not_chosen_before_everybody_is_bred(tmp_path):
+    with pytest.raises(UserError, match="not bred yet: R1, elevator x -1, latency 100 ms, nominal, robust"):
+        tune(Breeder(SMALL, tmp_path), quiet)
+
+
+def test_the_shipped_configuration_loads():
+    cast = load("citation")
+    assert len(cast.cases) == 33
+    assert cast.members <= 50
+
+
+def test_configurations_are_checked():
+    with pytest.raises(UserError, match="no cast 'nobody'; expected one of citation"):
+        load("nobody")
+    with pytest.raises(ValueError, match="unique names, got nominal twice"):
+        CastSettings(name="x", cases=(Case(name="nominal"),))
+    with pytest.raises(ValueError, match="expected a network of one layer, got 2"):
+        CastSettings(name="x", layers=(Layer(units=4), Layer(units=3)), main=SearchSettings(symmetric=True))
+    with pytest.raises(ValueError, match="expected cases of the thesis, got F9"):
+        CastSettings(name="x", bred_for=("F9",))
