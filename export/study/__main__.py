@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from export.study.mutation import mutation
+from export.study.sweep import sweep
 from export.study.table71 import table71
 from understudy import run
 
@@ -14,7 +15,7 @@ def study() -> None:
     """Measure the thesis's tables and figures again, on this aircraft."""
 
 
-for command in (table71, mutation):
+for command in (table71, mutation, sweep):
     study.add_command(command)
 
 if __name__ == "__main__":
