@@ -33,7 +33,7 @@ from sim_bridge.presets import R3_SENSORS
 from sim_bridge.sensors import SensorSettings
 from task.config import Settings
 from task.limits import DT
-from task.reference import FamilyName, random_reference
+from task.reference import FamilyName, n_samples, random_reference
 from task.state import REFERENCE
 
 DURATION = 40.0
@@ -163,7 +163,7 @@ def reference_rows(cell: Cell, trim_pitch: float) -> np.ndarray:
         t = np.arange(len(rows)) * DT - cell.fault_at - LEVEL_FOR
         rows *= (0.5 - 0.5 * np.cos(np.pi * np.clip(t / OPENING, 0.0, 1.0)))[:, None]
     rows[:, REFERENCE.theta] += trim_pitch
-    return rows
+    return rows[: n_samples(cell.flight.duration)]
 
 
 def _condition(trim: str, half: Half, rng: np.random.Generator) -> FlightCondition:

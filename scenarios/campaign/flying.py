@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
-from runtime.laws.catalogue import LAWS, load_solo
+from runtime.laws.catalogue import LawName, load_solo
 from runtime.laws.solo import Solo
 from runtime.link import LOST, OVER, Sample
 from runtime.population import BehaviouralPolicy, Population
 from runtime.reference import RecordedReference
 from runtime.session import Session
 from scenarios.campaign.design import Cell, reference_rows
-from scenarios.campaign.mirrored import load_mirrored
+from scenarios.campaign.mirrored import MIRRORED, load_mirrored
 from scenarios.campaign.rows import Row
 from scenarios.campaign.scores import Events, Record, score
 from sim_bridge.flight import Flight
@@ -153,13 +153,7 @@ class Flyer:
         events = Events(cell.fault_at, "")
         return score(cell, "members", self._population.members[member], Trace(x[:end], command[:end], rows), events)
 
-    def _law(self, name: str) -> Solo:
+    def _law(self, name: LawName | Literal["pid-mirrored"]) -> Solo:
         if name not in self._laws:
-            if name in LAWS:
-                self._laws[name] = load_solo(name)
-            else:
-                rates = self._population.rates
-                if rates is None:
-                    raise ValueError(f"{name} needs the population's rate model")
-                self._laws[name] = load_mirrored(rates)
+            self._laws[name] = load_mirrored(self._population.rates) if name == MIRRORED else load_solo(name)
         return self._laws[name]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from runtime.config import PRESETS
@@ -10,10 +12,11 @@ from runtime.laws.law import Law
 from runtime.laws.pid import PID
 from runtime.laws.solo import COMMAND_LAG, Solo
 from runtime.structured import Effectiveness
+from task.errors import UserError
 from task.rates import RateModel
 from task.state import N_ACTION
 
-MIRRORED = "pid-mirrored"
+MIRRORED: Literal["pid-mirrored"] = "pid-mirrored"
 SURE = 1.0
 """A surface is taken for reversed when its effectiveness is below zero by so many standard deviations [-]."""
 BELOW = -0.05
@@ -68,6 +71,8 @@ class MirroredPID(Law):
         self._estimate.command(command)
 
 
-def load_mirrored(rates: RateModel) -> Solo:
-    """Return the law as one that flies alone."""
+def load_mirrored(rates: RateModel | None) -> Solo:
+    """Return the law as one that flies alone, with the rate model of a population. Raises UserError without one."""
+    if rates is None:
+        raise UserError(f"{MIRRORED}: the population brings no rate model; export it again, or leave this row out")
     return Solo(MirroredPID(rates), "")

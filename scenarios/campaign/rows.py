@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from runtime.config import PRESETS, Configuration, resolve
-from runtime.laws.catalogue import LAWS
+from runtime.laws.catalogue import LAWS, LawName
 from scenarios.campaign.mirrored import MIRRORED
 from task.config import Settings
 from task.errors import UserError
@@ -27,7 +27,7 @@ class Row(Settings, frozen=True):
     """Preset of the runtime."""
     changes: tuple[str, ...] = ()
     """``key=value`` over the preset, as the runtime's ``--set``."""
-    law: str | None = None
+    law: LawName | Literal["pid-mirrored"] | None = None
     """A law that flies in the cast's place."""
 
     def configuration(self, preview: bool) -> Configuration:
@@ -44,7 +44,8 @@ def known_rows() -> dict[str, Row]:
         Row(name="thesis-soft", preset="thesis"),
         *(Row(name=preset, preset=preset) for preset in PRESETS if preset != "thesis"),
         Row(name="frozen", changes=("identify=false",)),
-        *(Row(name=law, law=law) for law in (*LAWS, MIRRORED)),
+        *(Row(name=law, law=law) for law in LAWS),
+        Row(name=MIRRORED, law=MIRRORED),
     ]
     return {row.name: row for row in rows}
 

@@ -1,0 +1,160 @@
+"""Flights of the campaign on the plant: deterministic, the runtime's own, and resumed as if never stopped."""
+
+from __future__ import annotations
+
+import itertools
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from export.folder import write_population
+from export.mirrors import with_mirrors
+from export.network import Layer, Network, flatten
+from export.population import Description, Member, Population
+from export.rates import RateSettings, rate_model
+from runtime.population import load_population
+from scenarios.campaign.__main__ import main
+from scenarios.campaign.design import cells
+from scenarios.campaign.flying import Flyer
+from scenarios.campaign.rows import Row, choose_rows
+from scenarios.campaign.store import Journal, plain, read_parquet, write_parquet
+from scenarios.campaign.suites import load_suite
+from scenarios.campaign.work import Task, fly_all, plan
+from sim_bridge.conditions import NOMINAL
+from task.errors import UserError
+from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION
+
+SECONDS = 14.0
+"""Of these flights [s]; the fault comes between 8 and 12 s."""
+
+
+@pytest.fixture(scope="session")
+def cast(tmp_path_factory, short_prior):
+    """Return the folder of a linear law that tracks well, and its mirrors."""
+    network = Network(layers=(Layer(units=N_ACTION, activation="linear"),), action_scale=(1.0, 1.0, 1.0))
+    gains = np.zeros((1, N_ACTION, N_OBSERVATION))
+    gains[0, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -0.8, 0.4
+    gains[0, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -0.6, 0.2
+    gains[0, ACTION.dr, OBSERVATION.beta_e] = 0.3
+    bias = np.array([[-0.02477, 0.0, 0.0]])
+    member = (Member(name="good", scores={}),)
+    description = Description(network=network, members=member, champion="good", training={})
+    parameters = flatten(network, {"layers.0.weight": gains, "layers.0.bias": bias})
+    folder = tmp_path_factory.mktemp("casts") / "mirrored"
+    rates = rate_model(RateSettings(conditions=(NOMINAL,), duration=30.0))
+    write_population(with_mirrors(Population(description, parameters), "linear cast"), short_prior, folder, rates=rates)
+    return folder
+
+
+def short(fault: str, suite: str = "hard", **wanted):
+    """Return the first flight of a fault with these conditions, cut to some seconds."""
+    found = (c for c in cells(load_suite(suite), "tuning", 30) if c.fault == fault)
+    cell = next(c for c in found if all(getattr(c, name) == value for name, value in wanted.items()))
+    return msgspec.structs.replace(cell, flight=msgspec.structs.replace(cell.flight, duration=SECONDS))
+
+
+CALM = {"trim": "nominal", "air": "still"}
+REVERSED = short("elevator x -1", sensors="noise", **CALM)
+ROUGH = short("F5 elevator x 0.3", "easy", air="light", trim="nominal")
+STRUCTURED = Row(name="structured", preset="structured")
+
+
+def test_a_member_alone_flies_as_the_runtime_does_bit_by_bit(cast):
+    with Flyer(load_population(cast)) as flyer:
+        for cell in (REVERSED, ROUGH):
+            runtime = plain(flyer.fly(cell, Row(name="none", changes=("switch=none",))))
+            alone = plain(flyer.fly_member(cell, 0))
+            for ours in ("row", "member", "switched_at", "switched_to"):
+                runtime.pop(ours, None)
+                alone.pop(ours, None)
+            assert alone == runtime
+    assert alone["survived"]
+
+
+def test_flights_do_not_depend_on_those_before(cast):
+    with Flyer(load_population(cast)) as flyer:
+        first = [flyer.fly(cell, STRUCTURED) for cell in (REVERSED, ROUGH)]
+        again = [flyer.fly(cell, STRUCTURED) for cell in (ROUGH, REVERSED)]
+    assert [plain(r) for r in first] == [plain(r) for r in reversed(again)]
+    reversed_, _ = first
+    assert reversed_.survived
+    assert reversed_.switched_to[-1] == "good/-e"
+    assert 0.0 < reversed_.switched_at[-1] < 1.5
+    assert reversed_.alarms >= 1
+
+
+def test_the_right_mirror_saves_what_the_champion_loses_and_so_does_a_mirrored_pid(cast):
+    with Flyer(load_population(cast)) as flyer:
+        by_member = {r.member: r for r in flyer.fly_members(REVERSED)}
+        pid, mirrored = (flyer.fly(REVERSED, Row(name=law, law=law)) for law in ("pid", "pid-mirrored"))
+    good = {name for name, r in by_member.items() if r.survived and r.nmae < 10.0}
+    assert good == {"good/-e", "good/-er"}  # this law hardly uses the rudder
+    assert not by_member["good"].survived
+    assert 0.0 < by_member["good"].lost_after < SECONDS - REVERSED.fault_at
+    assert not pid.survived
+    assert mirrored.survived
+
+
+def test_a_campaign_that_was_killed_goes_on_to_the_same_file(cast, tmp_path):
+    sha256 = load_population(cast).sha256
+    tasks = plan([REVERSED], [Row(name="pid", law="pid"), Row(name="indi", law="indi"), "members"])
+
+    def fly(folder, most=99):
+        flights = fly_all(tasks, cast, sha256, Journal(folder / "journal.jsonl"), jobs=1)
+        return list(itertools.islice(flights, most))
+
+    def file(folder, done):
+        return write_parquet([r for d in done for r in d.records], folder / "c.parquet", {"half": "tuning"})
+
+    whole = fly(tmp_path / "whole")
+    begun = fly(tmp_path / "killed", 1)
+    with (tmp_path / "killed" / "journal.jsonl").open("ab") as journal:
+        journal.write(b'{"key": "torn by the ki')
+    resumed = fly(tmp_path / "killed")
+    assert [d.reused for d in resumed] == [True] * (len(begun)) + [False] * (len(tasks) - len(begun))
+    assert all(d.reused for d in fly(tmp_path / "killed"))
+    ours = file(tmp_path / "killed", resumed)
+    assert ours.read_bytes() == file(tmp_path / "whole", whole).read_bytes()
+    stored = read_parquet(ours)
+    assert len(stored.records) == 2 + 8
+    assert {r.member for r in stored.records if r.row == "members"} >= {"good", "good/-e", "good/-ear"}
+
+
+def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
+    tasks = [Task(ROUGH, Row(name="odd", preset="odd")), Task(ROUGH, Row(name="pid", law="pid"))]
+    journal = Journal(tmp_path / "j.jsonl")
+    with pytest.raises(UserError, match=r"1 of 2 tasks failed.*odd, F5 elevator x 0.3/"):
+        list(fly_all(tasks, cast, "", journal, jobs=1))
+    assert len(journal.read()) == 1
+
+
+def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
+    command = ["--population", str(cast), "--half", "tuning", "--fault", "F2", "--references", "1", "--jobs", "1"]
+    out = ["--out", str(tmp_path / "out"), "--results", str(tmp_path / "results")]
+    done = CliRunner().invoke(main, [*command, *out, "--rows", "none,pid"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == names
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert "Suite easy: every row" in report
+    assert "--fault F2 --half tuning" in report
+    again = ["--read", str(tmp_path / "results" / "campaign.parquet"), "--out", str(tmp_path / "again")]
+    done = CliRunner().invoke(main, again, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "again" / "report.md").read_text() == report
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"names": "pdi", "extra": ()}, "--rows pdi: unknown row 'pdi'; choose from none"),
+        ({"names": "pid", "extra": ("fast",)}, "--row fast: expected NAME=PRESET"),
+        ({"names": "pid", "extra": ("fast=structured,settel=1",)}, "--set settel: unknown key"),
+        ({"names": "pid", "extra": ("pid=structured",)}, "--row pid: there is a row of this name"),
+    ],
+)
+def test_a_wrong_row_is_answered_in_one_line(arguments, said):
+    with pytest.raises(UserError, match=said):
+        choose_rows(**arguments)
