@@ -74,13 +74,13 @@ class Bands:
         self.points = [p for p in read_bands(self.path) if p.frames <= trainer.frames] if self.path.exists() else []
         self.before = trainer.frames
 
-    def __call__(self, row: Row) -> None:
-        """Validate when enough frames have passed since the last point, and write the curve."""
+    def __call__(self, row: Row) -> bool:
+        """Validate when enough frames have passed since the last point, and write the curve; return whether so."""
         every = self.rollouts.settings.validation_frames
         due = row.frames // every > self.before // every
         self.before = row.frames
         if not due:
-            return
+            return False
         learner = self.trainer.learner.actor.parameters().cpu().numpy()
         champion = self.rollouts.fittest if self.trainer.config.genetic.population else learner
         flights = self.rollouts.fly(self.trainer.network, np.concatenate([champion, learner]), self.tasks)
@@ -92,6 +92,7 @@ class Bands:
             rows = [",".join(Point.__struct_fields__)]
             rows += [",".join(f"{getattr(p, name):.6g}" for name in Point.__struct_fields__) for p in self.points]
             file.write(("\n".join(rows) + "\n").encode())
+        return True
 
 
 def read_bands(path: Path) -> list[Point]:
@@ -115,8 +116,8 @@ def run(
     bands = Bands(trainer, rollouts, folder)
 
     def record(row: Row) -> None:
-        curve.write_csv(folder / CURVE, trainer.curve)
-        bands(row)
+        if bands(row):  # a learner alone has a generation each episode: too many to write a file for
+            curve.write_csv(folder / CURVE, trainer.curve)
         report(row)
 
     ended = train(trainer, folder, record, stop)
