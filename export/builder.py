@@ -28,6 +28,7 @@ class Builder:
         self.nodes: list[onnx.NodeProto] = []
         self.initializers: list[onnx.TensorProto] = outer.initializers if outer else []
         self._names: dict[str, int] = outer._names if outer else {}
+        self._integers: dict[tuple[int, ...], str] = outer._integers if outer else {}
         self._prefix = prefix
 
     def _unique(self, name: str) -> str:
@@ -45,8 +46,12 @@ class Builder:
         return name
 
     def integers(self, *values: int) -> str:
-        """Add an int64 vector, as axes, shapes and indices want it."""
-        return self.constant(np.array(values, dtype=np.int64), "i_" + "_".join(map(str, values)))
+        """Return an int64 vector, as axes, shapes and indices want it; the same one for the same values."""
+        if values not in self._integers:
+            name = "i_" + ",".join(map(str, values))
+            self.initializers.append(numpy_helper.from_array(np.array(values, dtype=np.int64), name))
+            self._integers[values] = name
+        return self._integers[values]
 
     def op(self, kind: str, *inputs: str, name: str | None = None, **attributes: Any) -> str:
         """Add a node with one output; return the output's name."""

@@ -110,12 +110,13 @@ def verify(folder: Path, manifest: Manifest, population: Population, prior: Prio
         None,
         {
             **vectors,
-            "model": embed_reduced(prior.theta).astype(np.float32),
+            "delay": np.array(play.delay),
+            "model": embed_reduced(prior.theta)[None].astype(np.float32),
             "exact_kinematics": np.array(True),
             "incumbent": population.parameters[play.incumbent],
         },
     )[0]
-    _within("imagination", float(np.abs(returns - play.returns).max()), play.tolerance)
+    _within("imagination", float(np.abs(returns[0] - play.returns).max()), play.tolerance)
 
 
 def _within(graph: str, difference: float, tolerance: float) -> None:

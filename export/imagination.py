@@ -4,11 +4,11 @@
 
 Inside the loop a node costs about as much to dispatch as to compute, so that the loop holds as few as possible:
 
-- states are columns, (10, A) for A actors, so that every linear map of them is one Gemm and a row is contiguous;
-- what is linear in [x; dx; commands; action] is one matrix, made from ``model`` before the loop;
-- the kinematics are a table of monomials in sines and rates: one Gather, one product, one Gemm;
-- centring of a LayerNorm is linear, so that it moves into the weights before the loop;
-- reward and termination are taken from the whole trajectory after the loop.
+- states are columns, (M, rows, A) for M models and A actors; whatever a step needs of them is one product with a matrix
+  that is made before the loop (:mod:`export.stepping`);
+- all policies are one product a layer (:mod:`export.actors`);
+- commands wait in a queue as long as the command lag and the delay ask for: its length is that of the loop's state;
+- altitude, reward, termination and safety are taken from the whole trajectory after the loop.
 """
 
 from __future__ import annotations
@@ -16,298 +16,210 @@ from __future__ import annotations
 import numpy as np
 import onnx
 
-from export.behaviour import activation
-from export.builder import Builder, value
-from export.network import Layer, Network, exceeds_limits, layout, unflatten
-from task.limits import ACTION_HIGH, ACTION_LOW, DT
-from task.model import DYNAMIC, N_REGRESSORS
-from task.observation import observation
-from task.reward import ALTITUDE_LIMIT, CRASH_COST_PER_FRAME, PHI_LIMIT, REWARD_SCALE, THETA_LIMIT
+from export.actors import Actors
+from export.builder import Builder, Shape, value
+from export.network import Network
+from export.rollout import MAX_DELAY
+from export.stepping import MOVES, N_CARRIED, N_LINEAR, N_PRODUCTS, Step, observed_reference, products
+from task.limits import DT
+from task.model import N_REGRESSORS
+from task.reward import (
+    ALTITUDE_LIMIT,
+    CRASH_COST_PER_FRAME,
+    PHI_LIMIT,
+    REWARD_SCALE,
+    THETA_LIMIT,
+    UNSAFE_ALPHA,
+    UNSAFE_PHI,
+)
 from task.state import N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE, STATE, TRACKED
 
-BOOL = onnx.TensorProto.BOOL
+BOOL, INT64 = onnx.TensorProto.BOOL, onnx.TensorProto.INT64
 _HUGE = float(np.finfo(np.float32).max)
-
-KINEMATICS: tuple[tuple[STATE, float, str], ...] = (
-    (STATE.phi, 1.0, "p"),
-    (STATE.phi, 1.0, "q sin_phi sin_theta sec_theta"),
-    (STATE.phi, 1.0, "r cos_phi sin_theta sec_theta"),
-    (STATE.theta, 1.0, "q cos_phi"),
-    (STATE.theta, -1.0, "r sin_phi"),
-    (STATE.psi, 1.0, "q sin_phi sec_theta"),
-    (STATE.psi, 1.0, "r cos_phi sec_theta"),
-    (STATE.h, 1.0, "V cos_alpha cos_beta sin_theta"),
-    (STATE.h, -1.0, "V sin_beta sin_phi cos_theta"),
-    (STATE.h, -1.0, "V sin_alpha cos_beta cos_phi cos_theta"),
-)
-"""``task.model.kinematic_rates`` as monomials: which rate, sign, factors."""
-
-_ANGLES = (STATE.phi, STATE.theta, STATE.alpha, STATE.beta)
-_RATES = (STATE.p, STATE.q, STATE.r, STATE.V)
-_FACTORS = (
-    *(s.name for s in _RATES),
-    *(f"sin_{a.name}" for a in _ANGLES),
-    *(f"cos_{a.name}" for a in _ANGLES),
-    "sec_theta",
-    "1",
-)
+_END = np.iinfo(np.int64).max
 
 
-class _Carry:
-    """Rows of [x; dx; commands; action], the columns of everything that is linear in them."""
-
-    def __init__(self, lag: int) -> None:
-        self.x = 0
-        self.dx = N_IDENTIFIED
-        self.commands = 2 * N_IDENTIFIED
-        self.n_commands = N_ACTION * (lag + 1)
-        self.size = self.commands + self.n_commands + N_ACTION
+def _slice(g: Builder, x: str, axis: int, start: int, end: int = _END, name: str | None = None) -> str:
+    return g.op("Slice", x, g.integers(start), g.integers(end), g.integers(axis), name=name)
 
 
-def _weights(g: Builder, network: Network, parameters: np.ndarray) -> list[dict[str, str]]:
-    """Return, per layer, the tensors of all actors, the incumbent last.
+def _altitude(g: Builder, before: str, after: str) -> str:
+    """Add h of ``task.model`` after each step from states before and after it, (H, M, 10, A) -> (H, M, 1, A)."""
 
-    Hidden layers: weight (A, inputs, units), others (A, 1, units), for one product per actor. Output layer: weight
-    (3, A, inputs), others (3, A), so that actions come out as columns. The members are initialisers; the incumbent
-    is cut from its flat vector.
-    """
-    tensors = layout(network)
-    sizes = g.integers(*(int(np.prod(t.shape)) for t in tensors))
-    pieces = g.ops("Split", "incumbent", sizes, names=[f"incumbent.{t.name}" for t in tensors], axis=0)
-    stacked = unflatten(network, parameters)
-    layers: list[dict[str, str]] = [{} for _ in network.layers]
-    for tensor, piece in zip(tensors, pieces, strict=True):
-        _, index, kind = tensor.name.split(".")
-        members = stacked[tensor.name]
-        if int(index) == len(network.layers) - 1:
-            units, *inputs = tensor.shape
-            own, axis = g.op("Reshape", piece, g.integers(units, 1, *inputs)), 1
-            members = members.swapaxes(0, 1)
-        elif kind == "weight":
-            own, axis = g.op("Transpose", g.op("Reshape", piece, g.integers(1, *tensor.shape)), perm=[0, 2, 1]), 0
-            members = members.swapaxes(1, 2)
-        else:
-            own, axis = g.op("Reshape", piece, g.integers(1, 1, *tensor.shape)), 0
-            members = members[:, None, :]
-        stack = g.op("Concat", g.constant(members, tensor.name), own, axis=axis, name=f"all.{tensor.name}")
-        layers[int(index)][kind] = stack
-    for i, layer in enumerate(network.layers):
-        if layer.layer_norm != "none":
-            _fold_layer_norm(g, layers[i], layer, output=i == len(network.layers) - 1)
-    return layers
+    def rows(x: str, *states: STATE) -> str:
+        return g.op("Gather", x, g.integers(*states), axis=2)
 
-
-def _fold_layer_norm(g: Builder, tensors: dict[str, str], layer: Layer, output: bool) -> None:
-    """Centre weight and bias over the units and scale the gain, so that the loop need only divide by a norm.
-
-    With c centred, gain * c / sqrt(c'c / n + eps) = gain sqrt(n) * c / sqrt(c'c + n eps), and
-    gain * c / (sqrt(c'c / (n - 1)) + eps) = gain sqrt(n - 1) * c / (sqrt(c'c) + sqrt(n - 1) eps).
-    """
-    axis = g.integers(0 if output else -1)
-    for kind in ("weight", "bias"):
-        mean = g.op("ReduceMean", tensors[kind], axis, keepdims=1)
-        tensors[kind] = g.op("Sub", tensors[kind], mean, name=f"centred.{kind}")
-    tensors["gain"] = g.op("Mul", tensors["gain"], g.constant(np.array(_root(layer)), "root"), name="scaled.gain")
-
-
-def _root(layer: Layer) -> float:
-    return float(np.sqrt(layer.units if layer.layer_norm == "standard" else layer.units - 1))
-
-
-def _layer_norm(g: Builder, x: str, layer: Layer, eps: float, tensors: dict[str, str], axis: int) -> str:
-    """Add what is left of a LayerNorm after :func:`_fold_layer_norm`."""
-    if layer.layer_norm == "standard":
-        energy = g.op("ReduceSumSquare", x, g.integers(axis), keepdims=1)
-        norm = g.op("Sqrt", g.op("Add", energy, g.constant(np.array(_root(layer) ** 2 * eps), "n_eps")), name="norm")
-    else:
-        length = g.op("ReduceL2", x, g.integers(axis), keepdims=1)
-        norm = g.op("Add", length, g.constant(np.array(_root(layer) * eps), "root_eps"), name="norm")
-    return g.op("Add", g.op("Mul", g.op("Div", x, norm), tensors["gain"]), tensors["shift"], name="normalised")
-
-
-def _policy(g: Builder, s: str, network: Network, layers: list[dict[str, str]]) -> str:
-    """Add all actors at once: scaled observations (7, A) -> actions (3, A) [rad]."""
-    x = g.op("Unsqueeze", g.op("Transpose", s, perm=[1, 0]), g.integers(1), name="s_rows")
-    for i, (layer, tensors) in enumerate(zip(network.layers, layers, strict=True)):
-        output = i == len(layers) - 1
-        if output:
-            # three units: a product and a sum are cheaper than one matrix product per actor
-            weighted = g.op("Mul", tensors["weight"], g.op("Squeeze", x, g.integers(1)))
-            x = g.op("ReduceSum", weighted, g.integers(-1), keepdims=0)
-        else:
-            x = g.op("MatMul", x, tensors["weight"])
-        x = g.op("Add", x, tensors["bias"])
-        if layer.layer_norm != "none":
-            x = _layer_norm(g, x, layer, network.layer_norm_eps, tensors, 0 if output else -1)
-        x = activation(g, x, layer, network)
-    action = g.op("Mul", x, g.constant(np.array(network.action_scale)[:, None], "action_scale"))
-    if any(network.action_offset):
-        action = g.op("Add", action, g.constant(np.array(network.action_offset)[:, None], "action_offset"))
-    if exceeds_limits(network):
-        action = g.op("Max", action, g.constant(ACTION_LOW[:, None], "action_low"))
-        action = g.op("Min", action, g.constant(ACTION_HIGH[:, None], "action_high"))
-    return action
-
-
-def _step_matrix(g: Builder, carry: _Carry) -> tuple[str, str]:
-    """Return (W, size) and (W, 1): everything that a step needs of [x; dx; commands; action], as one linear map.
-
-    Rows: the increment of the 10 states (eq. 8.2); p, q, r, V half a step on; phi, theta, alpha and beta half a
-    step on, each once for its sine and once shifted by pi/2 for its cosine. ``task.model.predict_increment`` takes
-    the mean of the old and the new value for the dynamic states and the old value for phi and theta.
-    """
-    # z = pick @ [x; dx; commands; action] (13, size): dx and the increment of the command that acts now
-    pick = np.zeros((N_REGRESSORS, carry.size))
-    pick[:N_IDENTIFIED, carry.dx : carry.dx + N_IDENTIFIED] = np.eye(N_IDENTIFIED)
-    pick[N_IDENTIFIED:, carry.commands : carry.commands + N_ACTION] = -np.eye(N_ACTION)
-    pick[N_IDENTIFIED:, carry.commands + N_ACTION : carry.commands + 2 * N_ACTION] = np.eye(N_ACTION)
-
-    wanted = [*_RATES, *_ANGLES, *_ANGLES]
-    of_state = np.zeros((N_IDENTIFIED + len(wanted), carry.size))
-    of_increment = np.zeros((N_IDENTIFIED + len(wanted), N_IDENTIFIED))
-    of_increment[:N_IDENTIFIED] = np.eye(N_IDENTIFIED)
-    for row, state in enumerate(wanted, start=N_IDENTIFIED):
-        of_state[row, carry.x + state] = 1.0
-        if state in DYNAMIC:
-            of_increment[row, state] = 0.5
-    constant = np.zeros((N_IDENTIFIED + len(wanted), 1))
-    constant[-len(_ANGLES) :] = 0.5 * np.pi
-
-    increment = g.op("MatMul", g.op("Transpose", "model", perm=[1, 0]), g.constant(pick, "pick"), name="increment_map")
-    matrix = g.op(
-        "Gemm", g.constant(of_increment, "of_increment"), increment, g.constant(of_state, "of_state"), name="step_map"
+    half = g.constant(np.array(0.5), "half")
+    speed, alpha, beta = (
+        g.op("Mul", g.op("Add", rows(before, state), rows(after, state)), half)
+        for state in (STATE.V, STATE.alpha, STATE.beta)
     )
-    return matrix, g.constant(constant, "step_constant")
+    angles = (alpha, beta, rows(before, STATE.phi), rows(before, STATE.theta))
+    (sin_a, cos_a), (sin_b, cos_b), (sin_phi, cos_phi), (sin_theta, cos_theta) = (
+        (g.op("Sin", angle), g.op("Cos", angle)) for angle in angles
+    )
+
+    def product(*factors: str) -> str:
+        total = factors[0]
+        for factor in factors[1:]:
+            total = g.op("Mul", total, factor)
+        return total
+
+    up = g.op("Sub", product(cos_a, cos_b, sin_theta), product(sin_b, sin_phi, cos_theta))
+    climb = g.op("Sub", up, product(sin_a, cos_b, cos_phi, cos_theta))
+    gained = product(speed, climb, g.constant(np.array(DT), "dt"), "exact")
+    total = g.op("CumSum", gained, g.constant(np.array(0), "first_axis"))
+    return g.op("Add", rows(after, STATE.h), total, name="altitude")
 
 
-def _kinematics(g: Builder, rates: str, angles: str) -> str:
-    """Add the increments of phi, theta, psi [rad] and h [m], (4, A), from rates (4, A) and angles (8, A)."""
-    trig = g.op("Sin", angles, name="trig")
-    cos_theta = _FACTORS.index("cos_theta") - len(_RATES)
-    secant = g.op("Reciprocal", g.op("Gather", trig, g.integers(cos_theta), axis=0), name="sec_theta")
-    factors = g.op("Concat", rates, trig, secant, "ones", axis=0, name="factors")
-    depth = max(len(m.split()) for _, _, m in KINEMATICS)
-    table = np.full((depth, len(KINEMATICS)), _FACTORS.index("1"))
-    signs = np.zeros((N_IDENTIFIED - STATE.phi, len(KINEMATICS)))
-    for column, (rate, sign, monomial) in enumerate(KINEMATICS):
-        for row, factor in enumerate(monomial.split()):
-            table[row, column] = _FACTORS.index(factor)
-        signs[rate - STATE.phi, column] = sign
-    chosen = g.op("Gather", factors, g.integers(*table.ravel().tolist()), axis=0)
-    parts = g.ops("Split", chosen, names=["factor"] * depth, axis=0, num_outputs=depth)
-    product = parts[0]
-    for part in parts[1:]:
-        product = g.op("Mul", product, part, name="monomials")
-    return g.op("MatMul", g.constant(DT * signs, "kinematics"), product, name="kinematic_increment")
+def _scores(g: Builder, before: str, after: str, reference: str) -> tuple[str, str]:
+    """Add ``task.reward`` over trajectories: states before and after each step (H, M, 10, A), reference (H, 3) [rad].
 
-
-def _observation_maps(network: Network) -> tuple[np.ndarray, np.ndarray]:
-    """Return S (7, 10) and R (3, 7) with input_scale * s = S x + R' reference: ``task.observation`` is linear."""
-    scale = np.array(network.input_scale)
-    of_state = observation(np.eye(N_IDENTIFIED), np.zeros((N_IDENTIFIED, N_REFERENCE))).T
-    of_reference = observation(np.zeros((N_REFERENCE, N_IDENTIFIED)), np.eye(N_REFERENCE))
-    return scale[:, None] * of_state, of_reference * scale
-
-
-def _returns(g: Builder, states: str, reference: str) -> str:
-    """Add ``task.reward`` over a trajectory: states (H, 10, A), reference (H, 3) [rad] -> returns (A,)."""
-    channels = g.op("Gather", states, g.integers(*TRACKED), axis=1, name="tracked")
-    error = g.op("Sub", g.op("Unsqueeze", reference, g.integers(2)), channels, name="error")
+    Returns the returns and the numbers of unsafe samples (eq. 14), (M, A) each.
+    """
+    channels = g.op("Gather", after, g.integers(*TRACKED), axis=2, name="tracked")
+    error = g.op("Sub", g.op("Unsqueeze", reference, g.integers(1, 3)), channels, name="error")
     scaled = g.op("Mul", error, g.constant(REWARD_SCALE[:, None], "reward_scale"))
-    clipped = g.op(
-        "Abs", g.op("Clip", scaled, g.constant(np.array(-1.0), "minus_one"), g.constant(np.array(1.0), "one"))
-    )
-    reward = g.op("Mul", g.op("ReduceSum", clipped, g.integers(1), keepdims=0), g.constant(np.array(-1 / 3), "mean"))
+    one = g.constant(np.array(1.0), "plus_one")
+    clipped = g.op("Abs", g.op("Clip", scaled, g.constant(np.array(-1.0), "minus_one"), one))
+    reward = g.op("Mul", g.op("ReduceSum", clipped, g.integers(2), keepdims=0), g.constant(np.array(-1 / 3), "mean"))
 
-    high, low = np.full((N_IDENTIFIED, 1), _HUGE), np.full((N_IDENTIFIED, 1), -_HUGE)
-    high[[STATE.theta, STATE.phi], 0] = THETA_LIMIT, PHI_LIMIT
-    low[STATE.h] = ALTITUDE_LIMIT
+    bounds = np.full((N_IDENTIFIED, 1), _HUGE)
+    bounds[[STATE.theta, STATE.phi], 0] = THETA_LIMIT, PHI_LIMIT
     # A comparison with NaN is false, one with infinity fails against the largest float: not finite is outside.
-    bounded = g.op("LessOrEqual", g.op("Abs", states), g.constant(high, "bound"))
-    inside = g.op("And", bounded, g.op("GreaterOrEqual", states, g.constant(low, "lower_bound")), name="inside")
-    all_inside = g.op("ReduceMin", g.op("Cast", inside, to=onnx.TensorProto.FLOAT), g.integers(1), keepdims=0)
-    # lost once, lost for good: alive while the product of all "inside" so far is one
-    outside_so_far = g.op(
-        "CumSum", g.op("Sub", g.constant(np.array(1.0), "one"), all_inside), g.constant(np.array(0), "first_axis")
-    )
+    bounded = g.op("LessOrEqual", g.op("Abs", after), g.constant(bounds, "bound"))
+    high = g.op("GreaterOrEqual", _altitude(g, before, after), g.constant(np.array(ALTITUDE_LIMIT), "floor"))
+    inside = g.op("Concat", *(g.op("Cast", x, to=onnx.TensorProto.FLOAT) for x in (bounded, high)), axis=2)
+    all_inside = g.op("ReduceMin", inside, g.integers(2), keepdims=0, name="inside")
+    # lost once, lost for good: alive while every sample so far is inside
+    outside_so_far = g.op("CumSum", g.op("Sub", one, all_inside), g.constant(np.array(0), "first_axis"))
     alive = g.op("Less", outside_so_far, g.constant(np.array(0.5), "half"), name="alive")
     earned = g.op("Where", alive, reward, g.constant(np.array(-CRASH_COST_PER_FRAME), "crash"), name="earned")
-    return g.op("ReduceSum", earned, g.integers(0), keepdims=0)
+
+    angles = g.op("Gather", after, g.integers(STATE.alpha, STATE.phi), axis=2)
+    alpha, phi = g.ops("Split", angles, names=["alpha", "phi"], axis=2, num_outputs=2)
+    steep = g.op("GreaterOrEqual", g.op("Abs", phi), g.constant(np.array(UNSAFE_PHI), "unsafe_phi"))
+    stalling = g.op("GreaterOrEqual", alpha, g.constant(np.array(UNSAFE_ALPHA), "unsafe_alpha"))
+    unsafe = g.op("And", g.op("Squeeze", g.op("Or", steep, stalling), g.integers(2)), alive, name="unsafe_now")
+    count = g.op("Cast", unsafe, to=onnx.TensorProto.FLOAT)
+    return tuple(g.op("ReduceSum", x, g.integers(0), keepdims=0) for x in (earned, count))  # type: ignore[return-value]
+
+
+class _Start:
+    """What the loop starts from, for M models and A actors."""
+
+    def __init__(self, g: Builder, actors: Actors, count: int, lag: int) -> None:
+        models = g.op("Slice", g.op("Shape", "model"), g.integers(0), g.integers(1), name="models")
+
+        def columns(rows: str, height: int) -> str:
+            column = g.op("Reshape", rows, g.integers(1, height, 1))
+            return g.op("Expand", column, g.op("Concat", models, g.integers(height, count), axis=0))
+
+        sent = g.op(
+            "Div", g.op("Sub", "commands", g.constant(actors.offset, "offset")), g.constant(actors.unit, "unit")
+        )
+        # the lag + delay + 1 commands that are still to act, and the one before them, which acts last
+        first = g.op("Sub", g.integers(MAX_DELAY), g.op("Reshape", "delay", g.integers(1)), name="first_command")
+        recent = g.op("Slice", sent, first, g.integers(_END), g.integers(0), name="recent")
+        acted = _slice(g, recent, 0, 0, 1)
+        first_waiting = 2 if lag else 1
+        base = g.op("Concat", "x", "dx", g.constant(np.zeros(N_PRODUCTS), "no_product"), axis=0)
+        parts = [base, g.op("Reshape", acted, g.integers(N_ACTION)), g.constant(np.ones(1), "one")]
+        waiting = _slice(g, recent, 0, first_waiting)
+        flat = g.op("Reshape", waiting, g.integers(-1))
+        length = g.op("Shape", flat)
+        shape = g.op("Concat", models, length, g.integers(count), axis=0)
+        self.waiting = g.op("Expand", g.op("Unsqueeze", flat, g.integers(0, 2)), shape, name="waiting_start")
+        self.lengths = g.op("Concat", g.integers(N_ACTION), length, axis=0, name="queue_split")
+        if lag:
+            acting = g.op("Reshape", _slice(g, recent, 0, 1, 2), g.integers(N_ACTION))
+            parts.append(acting)
+            self.acting = columns(acting, N_ACTION)
+        self.linear = columns(g.op("Concat", *parts, axis=0), N_LINEAR if lag else N_CARRIED)
+        self.one = columns(g.constant(np.ones(1), "one"), 1)
 
 
 def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.ModelProto:
-    """Return the rollout of all members and of the incumbent as one graph.
+    """Return the rollout of all members and of the incumbent, in M models, as one graph.
 
     parameters: (P, K) float32, the members; lag: samples between a command and the increment that it moves, beyond
-    that of eq. 8.2. Inputs and output as in docs/architecture.md: ``x``, ``dx``, ``commands``, ``model``,
-    ``exact_kinematics``, ``reference``, ``incumbent`` -> ``returns`` (P + 1,).
+    that of eq. 8.2. Inputs and outputs as in docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``,
+    ``exact_kinematics``, ``reference``, ``incumbent`` -> ``returns`` and ``unsafe``, (M, P + 1) each.
     """
-    actors = parameters.shape[0] + 1
-    carry = _Carry(lag)
+    count = parameters.shape[0] + 1
     g = Builder()
-    layers = _weights(g, network, parameters)
-    step_map, step_constant = _step_matrix(g, carry)
-    of_state, of_reference = _observation_maps(network)
-
-    before = g.op("Slice", "reference", g.integers(0), g.integers(-1), g.integers(0), name="reference_now")
-    after = g.op(
-        "Slice", "reference", g.integers(1), g.integers(np.iinfo(np.int64).max), g.integers(0), name="reference_next"
-    )
-    rows = g.op("MatMul", before, g.constant(of_reference, "of_reference"))
-    observed_reference = g.op("Unsqueeze", rows, g.integers(2), name="observed_reference")
-
-    def columns(flat: str, length: int, name: str) -> str:
-        column = g.op("Reshape", flat, g.integers(length, 1))
-        return g.op("Expand", column, g.integers(length, actors), name=name)
-
-    start = [
-        columns("x", N_IDENTIFIED, "x_start"),
-        columns("dx", N_IDENTIFIED, "dx_start"),
-        columns("commands", carry.n_commands, "commands_start"),
-    ]
-    g.initializers.append(onnx.numpy_helper.from_array(np.ones((1, actors), dtype=np.float32), "ones"))
+    actors = Actors(g, network, parameters)
+    step = Step(g, network, actors.unit)
+    now = _slice(g, "reference", 0, 0, -1, name="reference_now")
+    following = _slice(g, "reference", 0, 1, name="reference_next")
+    seen = observed_reference(g, now, network)
+    start = _Start(g, actors, count, lag)
+    maps = g.op("Concat", step.moves, _per_model(g, step), axis=1, name="step_map") if lag else step.moves
 
     b = Builder(outer=g, prefix="step/")
-    x, dx, commands = "step/x", "step/dx", "step/commands"
-    s = b.op("Gemm", b.constant(of_state, "of_state"), x, "step/observed_reference", name="s")
-    action = _policy(b, s, network, layers)
-    linear = b.op("Concat", x, dx, commands, action, axis=0, name="linear")
-    moved = b.op("Gemm", step_map, linear, step_constant, name="moved")
-    parts = b.integers(STATE.phi, N_IDENTIFIED - STATE.phi, len(_RATES), 2 * len(_ANGLES))
-    dynamic, modelled, rates, angles = b.ops(
-        "Split", moved, parts, names=["dynamic", "modelled", "rates", "angles"], axis=0
-    )
-    kinematic = b.op("Where", "exact_kinematics", _kinematics(b, rates, angles), modelled)
-    dx_next = b.op("Concat", dynamic, kinematic, axis=0, name="dx_next")
-    x_next = b.op("Add", x, dx_next, name="x_next")
-    kept = b.integers(carry.commands + N_ACTION), b.integers(carry.size)
-    commands_next = b.op("Slice", linear, *kept, b.integers(0), name="commands_next")
-    b.result(x_next, "step/flown")
+    linear, waiting, acting = "step/linear", "step/waiting", "step/acting"
+    heights = (*MOVES, N_OBSERVATION + 1) if lag else MOVES
 
-    state = (N_IDENTIFIED, actors)
+    def moves(of: str) -> list[str]:
+        names = ["flown", "base", "rates", "arguments", "observed"][: len(heights)]
+        return b.ops("Split", b.op("MatMul", maps, of), b.integers(*heights), names=names, axis=1)
+
+    def act(observed: str) -> list[str]:
+        s = b.op("Add", observed, "step/seen", name="s")
+        command = actors.act(b, b.op("Transpose", s, perm=[2, 0, 1], name="s_rows"))
+        queue = b.op("Concat", waiting, command, axis=1)
+        return b.ops("Split", queue, start.lengths, names=["acting_next", "waiting_next"], axis=1)
+
+    if lag:  # what acts now was sent before: one product gives the move and what the policies see
+        flown, base, rates, arguments, observed = moves(linear)
+        acting_next, waiting_next = act(observed)
+        rows = [base, products(b, rates, arguments), acting, start.one, acting_next]
+    else:
+        acting_next, waiting_next = act(b.op("MatMul", step.observed, linear))
+        flown, base, rates, arguments = moves(b.op("Concat", linear, acting_next, axis=1))
+        rows = [base, products(b, rates, arguments), acting_next, start.one]
+    linear_next = b.op("Concat", *rows, axis=1, name="linear_next")
+
+    height = N_LINEAR if lag else N_CARRIED
+    carried: list[tuple[str, str, str, Shape]] = [
+        (linear, linear_next, start.linear, ("models", height, count)),
+        (waiting, waiting_next, start.waiting, ("models", "queue", count)),
+    ]
+    if lag:
+        carried.append((acting, acting_next, start.acting, ("models", N_ACTION, count)))
     body = b.body(
         "step",
-        [value(x, state), value(dx, state), value(commands, (carry.n_commands, actors)),
-         value("step/observed_reference", (N_OBSERVATION, 1))],
-        [value(x_next, state), value(dx_next, state), value(commands_next, (carry.n_commands, actors)),
-         value("step/flown", state)],
-    )  # fmt: skip
-    *_, flown = g.ops(
-        "Scan", *start, observed_reference, names=["x_end", "dx_end", "commands_end", "flown"],
+        [*(value(name, shape) for name, _, _, shape in carried), value("step/seen", (N_OBSERVATION + 1, 1))],
+        [*(value(name, shape) for _, name, _, shape in carried), value(flown, ("models", N_IDENTIFIED, count))],
+    )
+    end, *_, before = g.ops(
+        "Scan", *(first for _, _, first, _ in carried), seen, names=[*(f"{n}_end" for n, *_ in carried), "before"],
         body=body, num_scan_inputs=1,
     )  # fmt: skip
-    g.result(_returns(g, flown, after), "returns")
+    last = g.op("MatMul", step.state, _slice(g, end, 1, 0, N_CARRIED))
+    after = g.op("Concat", _slice(g, before, 0, 1), g.op("Unsqueeze", last, g.integers(0)), axis=0, name="after")
+    for name, of in zip(("returns", "unsafe"), _scores(g, before, after, following), strict=True):
+        g.result(of, name)
     return g.model(
         "imagination",
         [
             value("x", (N_IDENTIFIED,)),
             value("dx", (N_IDENTIFIED,)),
-            value("commands", (lag + 1, N_ACTION)),
-            value("model", (N_REGRESSORS, N_IDENTIFIED)),
+            value("commands", (lag + 1 + MAX_DELAY, N_ACTION)),
+            value("delay", (), INT64),
+            value("model", ("models", N_REGRESSORS, N_IDENTIFIED)),
             value("exact_kinematics", (), BOOL),
             value("reference", ("samples", N_REFERENCE)),
             value("incumbent", (parameters.shape[1],)),
         ],
-        [value("returns", (actors,))],
-        "Predicted return of every member and, last, of the incumbent.",
+        [value(name, ("models", count)) for name in ("returns", "unsafe")],
+        "Predicted return and unsafe samples of every member and, last, of the incumbent, in each model.",
     )
+
+
+def _per_model(g: Builder, step: Step) -> str:
+    """Return the observations' map beside the moves of each model: (M, 8, 33)."""
+    wide = g.op("Concat", step.observed, g.constant(np.zeros((N_OBSERVATION + 1, N_ACTION)), "not_yet"), axis=1)
+    shape = g.op("Shape", step.moves)
+    models = _slice(g, shape, 0, 0, 1)
+    return g.op("Expand", wide, g.op("Concat", models, g.integers(N_OBSERVATION + 1, N_LINEAR), axis=0))

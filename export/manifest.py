@@ -11,7 +11,7 @@ import numpy as np
 from export.network import Network, Tensor, forward, layout, unflatten
 from export.population import Member, Population
 from export.prior import COMMAND_LAG, Prior
-from export.rollout import rollout
+from export.rollout import MAX_DELAY, rollout
 from task.config import Settings
 from task.limits import DT
 from task.model import DYNAMIC, REDUCED_REGRESSORS, embed_reduced
@@ -30,11 +30,12 @@ from task.state import (
 )
 
 FORMAT = "understudy-population"
-VERSION = 1
+VERSION = 2
 MANIFEST = "manifest.json"
 
 GOLDEN_OBSERVATIONS = 4
 GOLDEN_STEPS = 50
+GOLDEN_DELAY = 3
 
 
 class SignalLayout(Settings, frozen=True):
@@ -71,6 +72,8 @@ class GoldenImagination(Settings, frozen=True):
     x: list[float]
     dx: list[float]
     commands: list[list[float]]
+    delay: int
+    """Of the commands, beyond ``command_lag`` [samples]."""
     reference: list[list[float]]
     incumbent: int
     """The member whose parameters are the incumbent's."""
@@ -90,6 +93,8 @@ class Manifest(Settings, frozen=True):
     """Sample time of the policies and of the model [s]."""
     command_lag: int
     """Samples between a command and the increment that it moves, beyond eq. 8.2."""
+    max_delay: int
+    """Longest delay beyond ``command_lag`` that the imagination carries [samples]."""
     network: Network
     parameters: tuple[Tensor, ...]
     members: tuple[Member, ...]
@@ -155,7 +160,8 @@ def golden_imagination(population: Population, prior: Prior, lag: int = COMMAND_
     start[[STATE.alpha, STATE.beta, STATE.phi, STATE.theta, STATE.psi]] = 0.06, 0.01, 0.1, 0.05, 0.3
     x = start.astype(np.float32).astype(float)
     dx = np.float32(1e-4 * np.sin(np.arange(N_IDENTIFIED))).astype(float)
-    commands = np.float32(np.linspace(-0.02, 0.01, N_ACTION * (lag + 1)).reshape(-1, N_ACTION)).astype(float)
+    sent = N_ACTION * (lag + 1 + MAX_DELAY)
+    commands = np.float32(np.linspace(-0.02, 0.01, sent).reshape(-1, N_ACTION)).astype(float)
     steps = np.zeros((GOLDEN_STEPS + 1, N_REFERENCE))
     duration = (GOLDEN_STEPS + 1) * DT
     steps[:, REFERENCE.theta] = cosine_steps(np.array([0.1, 0.0]), duration, duration)
@@ -163,14 +169,15 @@ def golden_imagination(population: Population, prior: Prior, lag: int = COMMAND_
     reference = steps.astype(np.float32).astype(float)
     model = embed_reduced(prior.theta.astype(np.float32).astype(float))
     parameters = np.concatenate([population.parameters, population.parameters[population.champion, None]])
-    returns = rollout(population.network, parameters, x, dx, commands, model, True, reference)
+    imagined = rollout(population.network, parameters, x, dx, commands, GOLDEN_DELAY, model, True, reference)
     return GoldenImagination(
         x=x.tolist(),
         dx=dx.tolist(),
         commands=commands.tolist(),
+        delay=GOLDEN_DELAY,
         reference=reference.tolist(),
         incumbent=population.champion,
-        returns=returns.tolist(),
+        returns=imagined.returns.tolist(),
         tolerance=1e-3,
     )
 
@@ -191,6 +198,7 @@ def describe(
         name=name,
         dt=DT,
         command_lag=lag,
+        max_delay=MAX_DELAY,
         network=population.network,
         parameters=layout(population.network),
         members=population.description.members,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from runtime.config import Adaptation
+from runtime.history import CommandHistory
 from runtime.lowpass import LowPass
 from runtime.structured import Effectiveness
 from task.errors import UserError
@@ -94,13 +95,15 @@ class RecursiveLeastSquares:
 class Identified(NamedTuple):
     """What was learnt, as the imagination needs it; every array is a copy, float32.
 
-    x (10,) state; dx (10,) its last increment; commands (command_lag + 1, 3) the last commands sent, oldest first
-    [rad]; model (13, 10) as in :mod:`task.model`; exact_kinematics: whether attitude and altitude follow from it.
+    x (10,) state; dx (10,) its last increment; commands (command_lag + 1 + max_delay, 3) the last commands sent, oldest
+    first [rad]; delay: that of the commands, beyond ``command_lag`` [samples]; model (13, 10) as in :mod:`task.model`;
+    exact_kinematics: whether attitude and altitude follow from it.
     """
 
     x: np.ndarray
     dx: np.ndarray
     commands: np.ndarray
+    delay: int
     model: np.ndarray
     exact_kinematics: bool
 
@@ -111,6 +114,7 @@ class IncrementalModel:
     Once a sample: :meth:`observe` with the state, then :meth:`command` with the command answered to it.
     ``command_lag`` L: the command a[k] first moves x[k+1+L] - x[k+L], so dx[k] is explained by
     dx[k-1] and a[k-1-L] - a[k-2-L], where dx[k] = x[k] - x[k-1].
+    ``max_delay``: the longest delay beyond it that the imagination can carry [samples].
     """
 
     def __init__(
@@ -121,9 +125,12 @@ class IncrementalModel:
         p0: np.ndarray | None = None,
         dt: float = DT,
         rates: RateModel | None = None,
+        max_delay: int = 0,
     ) -> None:
         self.settings = settings
         self.command_lag = command_lag
+        self.max_delay = max_delay
+        self._history = CommandHistory(command_lag + 1 + max_delay)
         self.exact_kinematics = settings.model == "reduced"
         self._rows = np.array(REDUCED_REGRESSORS if self.exact_kinematics else range(N_REGRESSORS))
         self.outputs = tuple(STATE(i) for i in (DYNAMIC if self.exact_kinematics else range(N_IDENTIFIED)))
@@ -179,6 +186,7 @@ class IncrementalModel:
         """Forget the last samples, not the model: the next increments would span a gap."""
         self._states = 0
         self._sent = 0
+        self._history.restart()
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
@@ -228,6 +236,7 @@ class IncrementalModel:
         self._sent += 1
         if self._sent == 1:
             self._commands[:] = action
+        self._history.push(action)
         if self.effectiveness is not None:
             self.effectiveness.command(action)
 
@@ -236,9 +245,11 @@ class IncrementalModel:
         theta = self.rls.Theta
         model = (embed_reduced(theta) if self.exact_kinematics else theta).astype(np.float32)
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
+        delay = 0
         if self.effectiveness is not None:
             self.effectiveness.impose(x, dx, model)
-        return Identified(x, dx, self._commands[1:].astype(np.float32), model, self.exact_kinematics)
+            delay = min(getattr(self.effectiveness, "delay_samples", 0), self.max_delay)
+        return Identified(x, dx, self._history.latest(), delay, model, self.exact_kinematics)
 
 
 def _wrap(dx: np.ndarray, angle: int) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from runtime.population import IMAGINATION, IMAGINATION_INPUTS, Population, make_session
+from runtime.population import IMAGINATION, IMAGINATION_INPUTS, IMAGINATION_OUTPUTS, Population, make_session
 from task.model import N_REGRESSORS
 from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
 
@@ -29,9 +29,11 @@ class Snapshot(NamedTuple):
     dx: np.ndarray
     """(10,) its last increment."""
     commands: np.ndarray
-    """(command_lag + 1, 3) the last commands sent [rad], oldest first."""
+    """(command_lag + 1 + max_delay, 3) the last commands sent [rad], oldest first."""
+    delay: int
+    """How many samples later than ``command_lag`` says every command acts, 0 to ``max_delay``."""
     model: np.ndarray
-    """(13, 10) Theta of the incremental model, :mod:`task.model`."""
+    """(13, 10) Theta of the incremental model, :mod:`task.model`, or (M, 13, 10) of M models to imagine in."""
     exact_kinematics: bool
     """Whether attitude and altitude follow from their kinematics instead of the model."""
     reference: np.ndarray
@@ -44,7 +46,9 @@ class Prediction(NamedTuple):
     """What an imagination found."""
 
     returns: np.ndarray
-    """(P + 1,) predicted return of each member and, last, of the incumbent; all NaN when it failed."""
+    """(M, P + 1) predicted return of each member and, last, of the incumbent in each model; all NaN when it failed."""
+    unsafe: np.ndarray
+    """(M, P + 1) samples in which each imagined flight is unsafe (thesis eq. 14) and not yet lost."""
     tick_requested: int
     """The tick of the state that it started from."""
     seconds: float
@@ -59,8 +63,10 @@ class _Buffers:
     def __init__(self, population: Population, horizon: int) -> None:
         self.x = np.zeros(N_IDENTIFIED, dtype=np.float32)
         self.dx = np.zeros(N_IDENTIFIED, dtype=np.float32)
-        self.commands = np.zeros((population.command_lag + 1, N_ACTION), dtype=np.float32)
-        self.model = np.zeros((N_REGRESSORS, N_IDENTIFIED), dtype=np.float32)
+        self._max_delay = population.max_delay
+        self.commands = np.zeros((population.command_lag + 1 + self._max_delay, N_ACTION), dtype=np.float32)
+        self.delay = np.zeros((), dtype=np.int64)
+        self.model = np.zeros((1, N_REGRESSORS, N_IDENTIFIED), dtype=np.float32)
         self.exact_kinematics = np.zeros((), dtype=bool)
         self.incumbent = np.zeros(population.manifest.n_parameters, dtype=np.float32)
         self.longest = np.zeros((horizon + 1, N_REFERENCE), dtype=np.float32)
@@ -73,7 +79,8 @@ class _Buffers:
         self.x[:] = snapshot.x
         self.dx[:] = snapshot.dx
         self.commands[:] = snapshot.commands
-        self.model[:] = snapshot.model
+        self.delay[()] = min(max(snapshot.delay, 0), self._max_delay)
+        self.model = np.array(snapshot.model, dtype=np.float32).reshape(-1, N_REGRESSORS, N_IDENTIFIED)
         self.exact_kinematics[()] = snapshot.exact_kinematics
         self.incumbent[:] = snapshot.incumbent
         self.reference = self.longest[: len(snapshot.reference)]
@@ -97,7 +104,7 @@ class Imagination:
         self.failures = 0
         """Plays that failed so far."""
         self._session = make_session(population.imagination, IMAGINATION)
-        self._returns = len(population.members) + 1
+        self._actors = len(population.members) + 1
         # One pair of hands fills the question to come while the other's is being played.
         self._next = _Buffers(population, horizon)
         self._playing = _Buffers(population, horizon)
@@ -165,9 +172,9 @@ class Imagination:
         start = time.perf_counter()
         error = ""
         try:
-            returns = self._session.run(["returns"], question.feeds())[0]
+            returns, unsafe = self._session.run(IMAGINATION_OUTPUTS, question.feeds())
         except Exception as failure:  # onnxruntime's errors share no base; none of them may end the flight
-            returns = np.full(self._returns, np.nan, dtype=np.float32)
+            returns = unsafe = np.full((len(question.model), self._actors), np.nan, dtype=np.float32)
             error = " ".join(str(failure).split())[:200]
             self.failures += 1
-        return Prediction(returns, question.tick, time.perf_counter() - start, error)
+        return Prediction(returns, unsafe, question.tick, time.perf_counter() - start, error)

@@ -17,7 +17,7 @@ from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.state import ACTION, ACTION_TABLE, N_ACTION, N_IDENTIFIED, N_OBSERVATION, OBSERVATION, STATE, STATE_TABLE
 
 FORMAT = "understudy-population"
-VERSION = 1
+VERSION = 2
 
 
 class Header(msgspec.Struct):
@@ -97,6 +97,7 @@ class GoldenImagination(Settings, frozen=True):
     x: list[float]
     dx: list[float]
     commands: list[list[float]]
+    delay: int
     reference: list[list[float]]
     incumbent: int
     returns: list[float]
@@ -111,6 +112,7 @@ class Manifest(Settings, frozen=True):
     name: str
     dt: float
     command_lag: int
+    max_delay: int
     network: Network
     parameters: tuple[Tensor, ...]
     members: tuple[Member, ...]
@@ -159,6 +161,8 @@ def check(manifest: Manifest, where: str) -> None:
     expect("dt", manifest.dt, DT)
     if manifest.command_lag < 0:
         raise UserError(f"{where}: command_lag: expected 0 or more samples, got {manifest.command_lag}")
+    if manifest.max_delay < 0:
+        raise UserError(f"{where}: max_delay: expected 0 or more samples, got {manifest.max_delay}")
     offset = 0
     for tensor in manifest.parameters:
         expect(f"parameters: {tensor.name}: offset", tensor.offset, offset)

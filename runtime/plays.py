@@ -116,11 +116,12 @@ class Plays:
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
         overtaken = asked <= self._alarm_at
-        decision = decide(prediction.returns, self._cast.flying, age, self._settings, since_switch, overtaken)
+        returns = prediction.returns.mean(axis=0)
+        decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken)
         decision = self._careful(decision, tick < self._watch_until)
         if decision.action is not Action.KEEP:
             self._switched_at = tick
-        return Played(prediction.returns, age, asked, decision, prediction.error)
+        return Played(returns, age, asked, decision, prediction.error)
 
     def _careful(self, decision: Decision, watching: bool) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when nothing but it speaks for it.

@@ -29,7 +29,8 @@ RATES = "rate_model.npz"
 PROBE_SIZE = 0.2
 """Largest error, rate and angle of attack at which members are compared [rad, rad/s]: those of a lively flight."""
 
-IMAGINATION_INPUTS = ("x", "dx", "commands", "model", "exact_kinematics", "reference", "incumbent")
+IMAGINATION_INPUTS = ("x", "dx", "commands", "delay", "model", "exact_kinematics", "reference", "incumbent")
+IMAGINATION_OUTPUTS = ("returns", "unsafe")
 
 
 class Population(NamedTuple):
@@ -70,6 +71,11 @@ class Population(NamedTuple):
     def command_lag(self) -> int:
         """Return the samples between a command and the increment that it moves, beyond eq. 8.2."""
         return self.manifest.command_lag
+
+    @property
+    def max_delay(self) -> int:
+        """Return the longest delay of the commands, beyond the lag, that the imagination carries [samples]."""
+        return self.manifest.max_delay
 
 
 def make_session(graph: bytes, what: str) -> onnxruntime.InferenceSession:
@@ -204,12 +210,12 @@ def _rates(content: bytes, path: Path) -> RateModel:
 
 
 def _check_interface(
-    session: onnxruntime.InferenceSession, inputs: dict[str, tuple[int | None, ...]], output: str, path: Path
+    session: onnxruntime.InferenceSession, inputs: dict[str, tuple[int | None, ...]], named: tuple[str, ...], path: Path
 ) -> None:
-    """Raise UserError unless the graph has these inputs (None: any length) and this first output."""
+    """Raise UserError unless the graph has these inputs (None: any length) and outputs of these names."""
     got = {i.name: tuple(d if isinstance(d, int) else None for d in i.shape) for i in session.get_inputs()}
-    outputs = [o.name for o in session.get_outputs()]
-    if got != inputs or outputs != [output]:
+    outputs = tuple(o.name for o in session.get_outputs())
+    if got != inputs or outputs != named:
         wrong = sorted(set(got.items()) ^ set(inputs.items())) if got != inputs else outputs
         raise UserError(f"{path}: inputs or output differ from the manifest at {wrong}; export the population again")
 
@@ -238,22 +244,24 @@ def _check_imagination(population: Population, path: Path) -> None:
     shapes: dict[str, tuple[int | None, ...]] = {
         "x": (N_IDENTIFIED,),
         "dx": (N_IDENTIFIED,),
-        "commands": (population.command_lag + 1, N_ACTION),
-        "model": (N_REGRESSORS, N_IDENTIFIED),
+        "commands": (population.command_lag + 1 + population.max_delay, N_ACTION),
+        "delay": (),
+        "model": (None, N_REGRESSORS, N_IDENTIFIED),
         "exact_kinematics": (),
         "reference": (None, N_REFERENCE),
         "incumbent": (population.manifest.n_parameters,),
     }
-    _check_interface(session, shapes, "returns", path)
+    _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
     golden = population.manifest.golden_imagination
     feeds = {
         **{name: np.array(getattr(golden, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")},
-        "model": embed_reduced(population.theta).astype(np.float32),
+        "delay": np.array(golden.delay),
+        "model": embed_reduced(population.theta)[None].astype(np.float32),
         "exact_kinematics": np.array(True),
         "incumbent": population.parameters[golden.incumbent],
     }
     try:
-        returns = session.run(["returns"], feeds)[0]
+        returns = session.run(["returns"], feeds)[0][0]
         difference = float(np.abs(returns - np.array(golden.returns)).max())
     except Exception as error:  # shapes that do not fit: whatever onnxruntime or numpy calls it
         raise UserError(f"{path}: cannot play the golden imagination: {_one_line(error)}") from None
@@ -272,7 +280,7 @@ class BehaviouralPolicy:
         manifest = population.manifest
         session = make_session(population.behaviour, where)
         shapes: dict[str, tuple[int | None, ...]] = {t.name: t.shape for t in manifest.parameters}
-        _check_interface(session, {"observation": (1, N_OBSERVATION), **shapes}, "action", Path(where))
+        _check_interface(session, {"observation": (1, N_OBSERVATION), **shapes}, ("action",), Path(where))
         self.parameters = population.parameters[population.champion].copy()
         """(K,) float32, flat, in the manifest's layout; change it in place."""
         self._seen = np.zeros(N_OBSERVATION)

@@ -72,7 +72,7 @@ class Session:
         )  # fmt: skip
         self._model = IncrementalModel(
             adaptation, population.command_lag, population.theta, population.p0, operation.dt,
-            cast.rates if cast else None,
+            cast.rates if cast else None, cast.max_delay if cast else 0,
         )  # fmt: skip
         self._guard = Guard(operation)
         self._horizon = round(adaptation.horizon / operation.dt)

@@ -81,13 +81,13 @@ def test_the_runtime_imagines_what_was_exported_and_any_incumbent(cast):
     blend = (0.5 * (exported.parameters[0] + exported.parameters[2])).astype(np.float32)
     x = np.array([0.01, 0.0, 0.0, 90.0, 0.06, 0.0, 0.05, 0.06, 1.0, 2000.0])
     reference = random_reference(rng, 2.0, 0.06)
-    commands, dx = np.full((2, 3), -0.02), 1e-4 * rng.normal(size=10)
+    commands, dx, delay = rng.uniform(-0.03, 0.0, (22, 3)), 1e-4 * rng.normal(size=10), 4
     model = embed_reduced(loaded.theta)
     with Imagination(loaded, 200) as imagination:
-        imagination.request(Snapshot(x, dx, commands, model, True, reference, blend), 0)
-        returns = imagination.wait(0).returns
+        imagination.request(Snapshot(x, dx, commands, delay, model, True, reference, blend), 0)
+        (returns,) = imagination.wait(0).returns
     actors = np.concatenate([exported.parameters, blend[None]])
-    expected = rollout(exported.network, actors, x, dx, commands, model, True, reference)
+    expected = rollout(exported.network, actors, x, dx, commands, delay, model, True, reference).returns
     np.testing.assert_allclose(returns, expected, rtol=0, atol=1e-3)
 
 

@@ -18,7 +18,7 @@ from export.behaviour import behaviour
 from export.imagination import imagination
 from export.network import Layer, Network, forward, n_parameters, unflatten
 from export.population import Description, Member, Population
-from export.rollout import rollout
+from export.rollout import MAX_DELAY, Imagined, rollout
 from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.model import embed_reduced, predict_increment
 from task.observation import observation
@@ -172,27 +172,38 @@ def test_policy_step_of_any_network(network, seed):
 class Case:
     """One imagination's inputs, in float64 values that float32 holds exactly."""
 
-    def __init__(self, horizon: int, lag: int, model: np.ndarray, exact: bool, seed: int = 3) -> None:
+    def __init__(self, horizon: int, lag: int, model: np.ndarray, exact: bool, delay: int = 0, seed: int = 3) -> None:
+        self.delay = delay
         rng = np.random.default_rng(seed)
         x = np.zeros(10)
         x[:3] = rng.normal(0.0, 0.01, 3)
         x[3:10] = 90.0, 0.06, 0.01, 0.1, 0.06, 0.5, 2000.0
         reference = random_reference(rng, 20.0, 0.06)[: horizon + 1]
         self.x, self.dx = self._exact(x), self._exact(1e-4 * rng.normal(size=10))
-        self.commands = self._exact(rng.uniform(-0.02, 0.02, (lag + 1, 3)))
+        self.commands = self._exact(rng.uniform(-0.02, 0.02, (lag + 1 + MAX_DELAY, 3)))
         self.model, self.reference, self.exact = self._exact(model), self._exact(reference), exact
 
     @staticmethod
     def _exact(array: np.ndarray) -> np.ndarray:
         return array.astype(np.float32).astype(float)
 
+    def imagined(self, network: Network, parameters: np.ndarray, kind: type = np.float64) -> Imagined:
+        x, dx, commands, model = (a.astype(kind) for a in (self.x, self.dx, self.commands, self.model))
+        reference = self.reference.astype(kind)
+        return rollout(network, parameters, x, dx, commands, self.delay, model, self.exact, reference)
+
     def by_numpy(self, network: Network, parameters: np.ndarray, kind: type = np.float64) -> np.ndarray:
-        arrays = (a.astype(kind) for a in (self.x, self.dx, self.commands, self.model))
-        return rollout(network, parameters, *arrays, self.exact, self.reference.astype(kind))
+        return self.imagined(network, parameters, kind).returns
 
     def feeds(self, incumbent: np.ndarray) -> dict[str, np.ndarray]:
-        feeds = {k: getattr(self, k).astype(np.float32) for k in ("x", "dx", "commands", "model", "reference")}
-        return {**feeds, "exact_kinematics": np.array(self.exact), "incumbent": incumbent}
+        feeds = {k: getattr(self, k).astype(np.float32) for k in ("x", "dx", "commands", "reference")}
+        return {
+            **feeds,
+            "delay": np.array(self.delay),
+            "model": np.atleast_3d(self.model.T).T.astype(np.float32),
+            "exact_kinematics": np.array(self.exact),
+            "incumbent": incumbent,
+        }
 
     def by_torch(self, network: Network, parameters: np.ndarray) -> float:
         """One member's return, one number at a time, straight from the equations."""
@@ -200,7 +211,7 @@ class Case:
         low, high = torch.tensor(ACTION_LOW), torch.tensor(ACTION_HIGH)
         x, dx = torch.tensor(self.x), torch.tensor(self.dx)
         theta = torch.tensor(self.model)
-        sent = [torch.tensor(c) for c in self.commands]
+        sent = [torch.tensor(c) for c in self.commands[MAX_DELAY - self.delay :]]
         total, alive = 0.0, True
         for now, following in zip(self.reference[:-1], self.reference[1:], strict=True):
             p, q, r, V, alpha, beta, phi, pitch, *_ = x
@@ -250,23 +261,25 @@ def test_increment(exact, lag, make_actors, nominal_model, full_model):
     population = make_actors(network, members=2)
     case = Case(20, lag, nominal_model if exact else full_model, exact)
     graph = imagination(network, population.parameters, lag)
-    flown = onnx.helper.make_tensor_value_info("flown", onnx.TensorProto.FLOAT, None)
-    graph.graph.output.append(flown)
-    (states,) = session(graph).run(["flown"], case.feeds(population.parameters[1]))
-    assert states.shape == (20, 10, 3)
+    for name in ("after", "altitude"):
+        graph.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, None))
+    states, altitude = session(graph).run(["after", "altitude"], case.feeds(population.parameters[1]))
+    assert states.shape == (20, 1, 10, 3)
 
     tensors = unflatten(network, population.parameters.astype(float))
     x, dx = np.tile(case.x, (2, 1)), np.tile(case.dx, (2, 1))
-    sent = [np.tile(c, (2, 1)) for c in case.commands]
+    sent = [np.tile(c, (2, 1)) for c in case.commands[MAX_DELAY:]]
+    angles_and_rates = [0, 1, 2, 4, 5, 6, 7] if exact else [0, 1, 2, 4, 5, 6, 7, 8]  # exact: heading is not flown
     for t in range(20):
         sent.append(forward(network, tensors, observation(x, case.reference[t])).clip(ACTION_LOW, ACTION_HIGH))
         dx = predict_increment(x, dx, sent[1] - sent[0], case.model, exact)
         sent.pop(0)
         x = x + dx
-        np.testing.assert_allclose(states[t, :, :2].T, x, rtol=0, atol=STATE_TOLERANCE * (1 + t / 5))
-        angles_and_rates = [0, 1, 2, 4, 5, 6, 7, 8]
-        np.testing.assert_allclose(states[t, angles_and_rates, :2].T, x[:, angles_and_rates], rtol=0, atol=2e-6)
-    np.testing.assert_array_equal(states[:, :, 2], states[:, :, 1])  # the incumbent is the second member
+        flown = states[t, 0, :, :2].T
+        np.testing.assert_allclose(flown[:, angles_and_rates], x[:, angles_and_rates], rtol=0, atol=2e-6)
+        np.testing.assert_allclose(flown[:, 3], x[:, 3], rtol=0, atol=STATE_TOLERANCE * (1 + t / 5))
+        np.testing.assert_allclose(altitude[t, 0, 0, :2], x[:, 9], rtol=0, atol=STATE_TOLERANCE * (1 + t / 5))
+    np.testing.assert_allclose(states[..., 2], states[..., 1], rtol=1e-6, atol=1e-6)  # the incumbent is the second
 
 
 @pytest.mark.parametrize("horizon", RETURN_TOLERANCE)
@@ -280,7 +293,7 @@ def test_rollout(name, exact, horizon, make_actors, nominal_model, full_model):
     reference = case.by_numpy(network, actors)
     assert np.ptp(reference[:3]) > 50 * RETURN_TOLERANCE[horizon] or horizon == 1  # the members do differ
     graph = session(imagination(network, population.parameters, 1))
-    (by_onnx,) = graph.run(["returns"], case.feeds(population.parameters[0]))
+    (by_onnx,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
     np.testing.assert_allclose(by_onnx, reference, rtol=0, atol=RETURN_TOLERANCE[horizon])
     np.testing.assert_allclose(
         case.by_numpy(network, actors, np.float32), reference, rtol=0, atol=RETURN_TOLERANCE[horizon]
@@ -298,9 +311,73 @@ def test_rollout_at_other_command_lags(lag, make_actors, nominal_model):
     case = Case(50, lag, nominal_model, True)
     (by_onnx,) = session(imagination(network, population.parameters, lag)).run(
         ["returns"], case.feeds(population.parameters[2])
-    )
+    )[0]
     actors = np.concatenate([population.parameters, population.parameters[2:]])
     np.testing.assert_allclose(by_onnx, case.by_numpy(network, actors), rtol=0, atol=RETURN_TOLERANCE[50])
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("delay", [0, 1, 5, 10, MAX_DELAY])
+def test_rollout_with_delayed_commands(delay, lag, make_actors, nominal_model):
+    """Numpy, torch and the graph agree, and a delay does matter."""
+    network = NETWORKS["thesis"]
+    population = make_actors(network, members=3, seed=5)
+    case = Case(50, lag, nominal_model, True, delay)
+    actors = np.concatenate([population.parameters, population.parameters[:1]])
+    (by_onnx,) = session(imagination(network, population.parameters, lag)).run(
+        ["returns"], case.feeds(population.parameters[0])
+    )[0]
+    reference = case.by_numpy(network, actors)
+    np.testing.assert_allclose(by_onnx, reference, rtol=0, atol=RETURN_TOLERANCE[50])
+    with torch.no_grad():
+        np.testing.assert_allclose([case.by_torch(network, p) for p in actors[:3]], reference[:3], rtol=0, atol=1e-9)
+    prompt = Case(50, lag, nominal_model, True).by_numpy(network, actors)
+    assert delay == 0 or np.abs(prompt - reference).max() > 50 * RETURN_TOLERANCE[50]
+
+
+def test_a_delay_is_what_a_longer_command_lag_would_be(make_actors, nominal_model):
+    network = NETWORKS["scaled"]
+    population = make_actors(network, members=2)
+    delayed = Case(50, 1, nominal_model, True, delay=4)
+    lagging = Case(50, 5, nominal_model, True)
+    lagging.commands[:] = 0.0
+    lagging.commands[-6:] = delayed.commands[-6:]
+    returns = [
+        session(imagination(network, population.parameters, lag)).run(["returns"], case.feeds(population.parameters[0]))
+        for lag, case in ((1, delayed), (5, lagging))
+    ]
+    np.testing.assert_array_equal(returns[0], returns[1])
+
+
+def test_several_models_are_several_imaginations(make_actors, nominal_model):
+    network = NETWORKS["thesis-standard"]
+    population = make_actors(network, members=3, seed=5)
+    graph = session(imagination(network, population.parameters, 1))
+    models = np.stack([nominal_model * scale for scale in (1.0, 0.98, 1.01)])
+    models[1, 10:] *= -1.0
+    together = graph.run(["returns"], Case(100, 1, models, True, delay=3).feeds(population.parameters[0]))[0]
+    assert together.shape == (3, 4)
+    for model, returns in zip(models, together, strict=True):
+        case = Case(100, 1, model, True, delay=3)
+        (alone,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+        np.testing.assert_allclose(returns, alone, rtol=0, atol=RETURN_TOLERANCE[200])
+    assert np.ptp(together[:, 0]) > 1.0
+
+
+def test_unsafe_samples_are_counted_until_the_flight_is_lost(make_actors, nominal_model):
+    """Eq. 14: from one flight that banks steeply on, to one that is lost."""
+    network = NETWORKS["linear-law"]
+    population = make_actors(network, members=4, gain=3.0)
+    case = Case(300, 1, nominal_model, True)
+    case.x[4], case.x[6] = 0.19, 1.02
+    actors = np.concatenate([population.parameters, population.parameters[:1]])
+    (returns,), (unsafe,) = session(imagination(network, population.parameters, 1)).run(
+        ["returns", "unsafe"], case.feeds(population.parameters[0])
+    )
+    expected = case.imagined(network, actors)
+    np.testing.assert_allclose(unsafe, expected.unsafe, rtol=0, atol=1.0)  # the crossing may fall one sample apart
+    np.testing.assert_allclose(returns, expected.returns, rtol=0, atol=2.0)
+    assert np.ptp(unsafe) > 10.0
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -310,7 +387,7 @@ def test_returns_stay_finite_when_the_model_diverges(exact, make_actors, nominal
     case = Case(400, 1, 1.5 * (nominal_model if exact else full_model), exact)
     (returns,) = session(imagination(network, population.parameters, 1)).run(
         ["returns"], case.feeds(population.parameters[0])
-    )
+    )[0]
     assert np.isfinite(returns).all()
     assert (returns < -0.5 * 400 * CRASH_COST_PER_FRAME).all()
     expected = case.by_numpy(network, np.concatenate([population.parameters, population.parameters[:1]]))
@@ -323,7 +400,7 @@ def test_nan_inputs_cost_a_crash_from_the_start(poison, make_actors, nominal_mod
     population = make_actors(network, members=2)
     feeds = Case(10, 1, nominal_model, True).feeds(population.parameters[0])
     feeds[poison] = np.full_like(feeds[poison], np.nan)
-    (returns,) = session(imagination(network, population.parameters, 1)).run(["returns"], feeds)
+    (returns,) = session(imagination(network, population.parameters, 1)).run(["returns"], feeds)[0]
     np.testing.assert_array_equal(returns, -10 * CRASH_COST_PER_FRAME)
 
 
@@ -332,8 +409,8 @@ def test_a_poisoned_incumbent_leaves_the_members_alone(make_actors, nominal_mode
     population = make_actors(network, members=3)
     graph = session(imagination(network, population.parameters, 1))
     case = Case(50, 1, nominal_model, True)
-    (sound,) = graph.run(["returns"], case.feeds(population.parameters[0]))
-    (returns,) = graph.run(["returns"], case.feeds(np.full_like(population.parameters[0], np.nan)))
+    (sound,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+    (returns,) = graph.run(["returns"], case.feeds(np.full_like(population.parameters[0], np.nan)))[0]
     np.testing.assert_array_equal(returns[:-1], sound[:-1])
     assert returns[-1] == -50 * CRASH_COST_PER_FRAME
 
@@ -344,7 +421,7 @@ def test_the_imagination_limits_commands_as_the_gate_does(make_actors, nominal_m
     case = Case(50, 1, nominal_model, True)
     (returns,) = session(imagination(network, population.parameters, 1)).run(
         ["returns"], case.feeds(population.parameters[0])
-    )
+    )[0]
     expected = case.by_numpy(network, np.concatenate([population.parameters, population.parameters[:1]]))
     np.testing.assert_allclose(returns, expected, rtol=0, atol=1e-3)
 
@@ -366,4 +443,4 @@ def test_the_loop_holds_few_nodes(make_actors):
 def test_members_weights_are_stored_once(make_actors):
     network = NETWORKS["thesis"]
     model = imagination(network, make_actors(network, members=8).parameters, 1)
-    assert len(model.SerializeToString()) < 1.2 * 4 * 8 * n_parameters(network) + 20_000
+    assert len(model.SerializeToString()) < 1.2 * 4 * 8 * n_parameters(network) + 50_000
