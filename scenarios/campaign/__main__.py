@@ -160,6 +160,9 @@ def fly(
             for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
                 done.append(one)
                 progress.advance(bar)
+                if not screen.is_terminal and (at := 20 * len(done) // len(tasks)) > 20 * (len(done) - 1) // len(tasks):
+                    left = progress.tasks[bar].time_remaining
+                    screen.print(f"{5 * at} %" + (f", {left / 60.0:.0f} min left" if left else ""))
     finally:
         signal.signal(signal.SIGTERM, before)
     return done

@@ -32,8 +32,8 @@ class Row(Settings, frozen=True):
 
     def configuration(self, preview: bool) -> Configuration:
         """Return the runtime's configuration. Raises UserError."""
-        if self.law is not None:
-            return resolve(overrides=("prior=none", *self.changes), switch="none")
+        if self.law is not None:  # nobody listens to what would be identified
+            return resolve(overrides=("prior=none", "identify=false", *self.changes), switch="none")
         return resolve(self.preset, overrides=(*self.changes, f"preview={str(preview).lower()}"))
 
 

@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -127,10 +128,12 @@ def _flights(tasks: Sequence[Task], population: Path, jobs: int) -> Iterator[_An
     try:
         for future in as_completed([pool.submit(_work, task) for task in tasks]):
             yield future.result()
-    except BaseException:
+    except BrokenProcessPool:
+        raise UserError(
+            "a process was ended from outside, for want of memory perhaps; give the command again, with --jobs 1"
+        ) from None
+    finally:
         pool.shutdown(wait=True, cancel_futures=True)
-        raise
-    pool.shutdown()
 
 
 def _answer(flyer: Flyer, task: Task) -> _Answer:

@@ -101,14 +101,14 @@ def test_a_campaign_that_was_killed_goes_on_to_the_same_file(cast, tmp_path):
     sha256 = load_population(cast).sha256
     tasks = plan([REVERSED], [Row(name="pid", law="pid"), Row(name="indi", law="indi"), "members"])
 
-    def fly(folder, most=99):
-        flights = fly_all(tasks, cast, sha256, Journal(folder / "journal.jsonl"), jobs=1)
+    def fly(folder, most=99, jobs=1):
+        flights = fly_all(tasks, cast, sha256, Journal(folder / "journal.jsonl"), jobs)
         return list(itertools.islice(flights, most))
 
     def file(folder, done):
         return write_parquet([r for d in done for r in d.records], folder / "c.parquet", {"half": "tuning"})
 
-    whole = fly(tmp_path / "whole")
+    whole = fly(tmp_path / "whole", jobs=2)
     begun = fly(tmp_path / "killed", 1)
     with (tmp_path / "killed" / "journal.jsonl").open("ab") as journal:
         journal.write(b'{"key": "torn by the ki')
