@@ -72,8 +72,7 @@ def hard(campaign: Campaign, ours: str) -> list[Claim]:
     oracle = campaign.pick(ORACLE, "hard")
     reversals = by_group(campaign, ours, "hard", REVERSALS)
     others = {k: r for k, r in flights.items() if r.group not in REVERSALS}
-    # Only where the champion does not suit: elsewhere the right cast flies already.
-    times = [t for t in campaign.casting(by_group(campaign, ours, "hard", ("reversal",))) if t > 0.0]
+    times = campaign.casting(by_group(campaign, ours, "hard", ("reversal",)))
     found += [
         claim(f"{ours}, reversals: mean nMAE over the oracle's", of_oracle(reversals, oracle), "", "<=", 1.2),
         claim(f"{ours}, hard, no reversals: mean nMAE over the oracle's", of_oracle(others, oracle), "", "<=", 1.5),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from scenarios.campaign.design import DURATION
-from scenarios.campaign.rows import MEMBERS, NONE, ORACLE
+from scenarios.campaign.rows import DERIVED, MEMBERS, NONE, ORACLE
 from scenarios.campaign.scores import Record
 from scenarios.campaign.statistics import Key, mean, median, of_oracle, paired, survival
 from scenarios.campaign.table import Campaign
@@ -175,9 +175,8 @@ def tables(campaign: Campaign) -> list[Table]:
     """Return all tables of a campaign."""
     found = []
     for suite in campaign.suites:
-        found += [suite_table(campaign, suite), paired_table(campaign, suite, NONE)]
-        if any(row == ORACLE for row in campaign.rows):
-            found.append(paired_table(campaign, suite, ORACLE))
+        found.append(suite_table(campaign, suite))
+        found += [paired_table(campaign, suite, row) for row in DERIVED if row in campaign.rows]
         found += [fault_table(campaign, suite), sideslip_table(campaign, suite), slice_table(campaign, suite)]
     found.append(quiet_table(campaign))
     return [table for table in found if table.rows]

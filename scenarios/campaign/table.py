@@ -79,13 +79,14 @@ class Campaign:
         return sorted({k[0] for row in self.rows.values() for k in row})
 
     def casting(self, flights: Mapping[Key, Record]) -> list[float]:
-        """Return the time from the fault until a suited member flies [s], of flights in which some member survives.
+        """Return the time from the fault until a suited member flies [s], one for each flight that asks for a change.
 
-        Inf when none ever flew. A classical law in the cast's place has no such time.
+        Such a flight has a suited member, and none that flies when the fault comes; inf when none ever flew. A law in
+        the cast's place has no such times.
         """
         times = []
         for k, record in flights.items():
             right = suited(self.members.get(k, []))
-            if right and record.switched_to:
-                times.append(time_to_suited(record, right))
+            if right and record.switched_to and (at := time_to_suited(record, right)) > 0.0:
+                times.append(at)
         return times
