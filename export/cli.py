@@ -11,6 +11,8 @@ from export.mirrors import with_mirrors
 from export.population import TRAINING_RECORDS, load_run
 from export.prior import PriorSettings, model_prior
 from export.rates import RateSettings, rate_model
+from export.screening import ScreeningSettings, annotated, flights, screen
+from export.study.show import flights_progress
 from task.config import load_toml
 
 
@@ -24,14 +26,31 @@ from task.config import load_toml
     help="TOML of export.prior.PriorSettings: trims, flights and excitation behind the model prior.",
 )
 @click.option(
+    "--screening",
+    "screening_file",
+    type=click.Path(path_type=Path),
+    help="TOML of export.screening.ScreeningSettings: references and constraints.",
+)
+@click.option("--no-screening", is_flag=True, help="Export without flying the members first.")
+@click.option(
     "--mirrors", is_flag=True, help="Add the champion with reversed commands, seven members, for reversed surfaces."
 )
-def export(run: Path, population: Path, prior_file: Path | None, mirrors: bool) -> None:
+def export(
+    run: Path,
+    population: Path,
+    prior_file: Path | None,
+    screening_file: Path | None,
+    no_screening: bool,
+    mirrors: bool,
+) -> None:
     """Export the trained population in RUN to the folder POPULATION, whose name becomes the population's.
 
-    Writes ONNX graphs, parameters, the incremental model's prior, the rate model and a manifest with
-    hashes and golden samples.
+    Writes ONNX graphs, parameters, the incremental model's prior, the rate model, a model card with what every
+    member was seen to do in the thesis's ten cases, and a manifest with hashes and golden samples.
     """
+    screened = (
+        load_toml(screening_file, ScreeningSettings, "screening settings") if screening_file else ScreeningSettings()
+    )
     settings = load_toml(prior_file, PriorSettings, "prior settings") if prior_file else PriorSettings()
     trained = load_run(run)
     if mirrors:
@@ -45,8 +64,14 @@ def export(run: Path, population: Path, prior_file: Path | None, mirrors: bool) 
     flown = RateSettings()
     click.echo(f"rate model: {flown.flights} flights of {flown.duration:g} s at {len(flown.conditions)} trims")
     rates = rate_model(flown)
-    click.echo("graphs, golden samples, hashes")
+    screening = None
+    if not no_screening:
+        with flights_progress(flights(trained, screened), "screening flights") as progress:
+            screening = screen(trained, screened, progress)
+        trained = annotated(trained, screening)
+        click.echo(f"champion {trained.description.champion}: {screening.verdict(trained.champion)}")
+    click.echo("graphs, golden samples, model card, hashes")
     records = {name: run / name for name in TRAINING_RECORDS if (run / name).exists()}
-    manifest = write_population(trained, prior, population, records, rates=rates)
+    manifest = write_population(trained, prior, population, records, rates=rates, screening=screening)
     size = sum((population / name).stat().st_size for name in manifest.files) / 1e6
     click.echo(f"{population}: {len(manifest.files)} files, {size:.1f} MB, verified against its golden samples")

@@ -7,12 +7,14 @@ import tempfile
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
 import onnxruntime
 
 from export.behaviour import behaviour
+from export.card import CARD, card
 from export.imagination import imagination
 from export.manifest import MANIFEST, Manifest, describe
 from export.network import unflatten
@@ -22,6 +24,9 @@ from task.config import to_json
 from task.errors import UserError
 from task.model import embed_reduced
 from task.rates import RATE_MODEL_VERSION, RateModel
+
+if TYPE_CHECKING:
+    from export.screening import Screening
 
 BEHAVIOUR = "behaviour.onnx"
 IMAGINATION = "imagination.onnx"
@@ -43,10 +48,12 @@ def write_population(
     records: Mapping[str, Path] | None = None,
     lag: int = COMMAND_LAG,
     rates: RateModel | None = None,
+    screening: Screening | None = None,
 ) -> Manifest:
     """Write ``folder``; return its manifest.
 
     rates: model that the runtime needs to find the effectiveness of the surfaces; a population flies without it.
+    screening: what the members were seen to do, for the model card.
     records: files copied to ``training/`` under their names. The folder appears complete, checked against its own
     golden samples, or does not appear; an older population of that name is replaced. Raises UserError when the
     population does not hold together or ``folder`` holds something else.
@@ -60,6 +67,7 @@ def write_population(
         made.mkdir()
         if rates is not None:
             np.savez(made / RATES, version=RATE_MODEL_VERSION, drift=rates.drift, effect=rates.effect)
+        (made / CARD).write_text(card(population, folder.name, versions(), screening))
         manifest = _fill(made, population, prior, folder.name, records or {}, lag)
         verify(made, manifest, population, prior)
         if folder.exists():

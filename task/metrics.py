@@ -12,6 +12,8 @@ from task.state import REFERENCE
 Ranges = Literal["experiments", "text"]
 
 _DEGREE = np.pi / 180.0
+ATTITUDE_RANGE = 20.0 * _DEGREE
+"""What errors in theta and phi are divided by in the published experiments [rad]."""
 C_SM = 8000.0
 """C_Sm of eq. 16 with S_aa = |A|^2 dt; see :func:`smoothness`."""
 
@@ -27,7 +29,7 @@ def channel_nmae(error: np.ndarray, ranges: Ranges = "experiments") -> np.ndarra
     mae = np.abs(error).mean(axis=0)
     if ranges == "experiments":
         beta = max(abs(float(error[:, REFERENCE.beta].mean())), _DEGREE)
-        scale = np.array([20.0 * _DEGREE, 20.0 * _DEGREE, beta])
+        scale = np.array([ATTITUDE_RANGE, ATTITUDE_RANGE, beta])
     else:
         scale = np.array([25.0, 25.0, 1.0]) * _DEGREE
     return mae / scale

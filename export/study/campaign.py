@@ -17,7 +17,7 @@ from export.training.evaluate import DURATION, Scores, score
 from export.training.flights import draw_references
 from task.reference import FamilyName
 
-ABREAST = 15
+ABREAST = 14
 """Aircraft that fly side by side: more of them no longer share a core's cache and each step takes longer."""
 SEEDS = (71, 72, 73)
 """Of the references; neither training nor the choice of a champion draws from them."""
@@ -66,8 +66,8 @@ def fly(
     fleet.take(case)
     references, seeds = trials.references(fleet.theta_trim), trials.noise_seeds()
     rows = []
-    width = min(len(references), ABREAST)
-    actors = max(ABREAST // width, 1)
+    width = -(-len(references) // -(-len(references) // ABREAST))  # batches of one size
+    actors = ABREAST // width
     for p in range(0, len(parameters), actors):
         parts = []
         for e in range(0, len(references), width):

@@ -44,6 +44,7 @@ CASES = (
     Case("R2", "Low dynamic pressure", condition=R2),
     Case("R3", "Gust, biased and noisy sensors", faults=FAULTS["R3"], sensors=R3_SENSORS),
 )
+NOMINAL_CASE = CASES[0].name
 IDEAL = SensorSettings()
 
 

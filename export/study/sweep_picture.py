@@ -41,7 +41,7 @@ def draw(figure: Figure, trials: Sequence[Trial], ranges: Sequence[Range]) -> No
         axis.axvline(i, color="black", lw=0.8)
         ticks = r.choices or (np.geomspace(r.low, r.high, 4) if r.log else np.linspace(r.low, r.high, 5))
         for tick in ticks:
-            text = tick if isinstance(tick, str) else f"{tick:.2g}"
+            text = tick if isinstance(tick, str) else f"{tick:.3g}"
             axis.text(i + 0.03, place(r, tick), text, fontsize="x-small", va="center")
         axis.plot(i, place(r, r.thesis), marker="D", color="C3", ms=6, zorder=5)
     last = len(ranges)

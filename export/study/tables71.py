@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from export.study.statistics import best, paired_interval, t_test
 from export.study.thesis import BEST_71, TABLE_71
-from export.training.evaluate import Scores
+from export.training.evaluate import Scores, attitude_nmae
 from task.results import Claim, Table
 from task.state import REFERENCE
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 NOT_TARGETS = ("F6", "R2")
 """Cases reported as they are: the first's nMAE has a floor of a third, the second's is saturation."""
-_RANGE = np.deg2rad(20.0)
-"""What theta and phi errors are divided by in the nMAE of the published experiments [rad]."""
 
 
 def _spread(values: np.ndarray, lost: int = 0) -> str:
@@ -115,7 +113,7 @@ def jammed_rudder(s: CaseScores) -> Table:
         (f"re-picked {s.repicked_name}", s.repicked),
     ):
         mae = one.mae.reshape(-1, 3)
-        attitude = 100.0 * mae[:, [REFERENCE.theta, REFERENCE.phi]].mean() / _RANGE
+        attitude = attitude_nmae(one).mean()
         slip = np.rad2deg(mae[:, REFERENCE.beta].mean())
         rows.append([who, round(float(one.nmae.mean()), 2), round(float(attitude), 2), round(float(slip), 2)])
     columns = ["actor", "nMAE [%]", "nMAE of theta and phi [%]", "mean sideslip [deg]"]

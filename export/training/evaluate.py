@@ -8,8 +8,8 @@ import numpy as np
 
 from export.network import Network
 from export.training.flights import Fleet, Flights, draw_references
-from task.metrics import nmae
-from task.state import N_REFERENCE
+from task.metrics import ATTITUDE_RANGE, nmae
+from task.state import N_REFERENCE, REFERENCE
 
 DURATION = 80.0
 """Length of an evaluation flight [s] (thesis section III.E)."""
@@ -39,6 +39,12 @@ class Scores(NamedTuple):
     def ranking(self) -> np.ndarray:
         """Return each actor's mean nMAE [%], infinite where it lost a flight; shape (P,)."""
         return np.where(self.lost.any(axis=1), np.inf, self.nmae.mean(axis=1))
+
+
+def attitude_nmae(scores: Scores) -> np.ndarray:
+    """Return the nMAE of theta and phi alone (P, E) [%], by the ranges of the published experiments."""
+    mae = scores.mae[..., [REFERENCE.theta, REFERENCE.phi]]
+    return 100.0 * mae.mean(axis=-1) / ATTITUDE_RANGE
 
 
 def evaluation_references(fleet: Fleet, seed: int, count: int, duration: float = DURATION) -> np.ndarray:

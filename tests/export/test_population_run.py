@@ -115,14 +115,15 @@ def test_the_command_exports_a_run_with_its_training_records(run, tmp_path):
     settings = tmp_path / "prior.toml"
     settings.write_text("flights = 1\nduration = 10.0\n")
     target = tmp_path / "populations" / "cast"
-    arguments = [str(run), str(target), "--prior", str(settings)]
+    arguments = [str(run), str(target), "--prior", str(settings), "--no-screening"]
     result = click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert "verified against its golden samples" in result.output
     manifest = json.loads((target / "manifest.json").read_bytes())
     assert manifest["name"] == "cast"
-    assert {"training/config.toml", "training/learning_curve.csv"} <= set(manifest["files"])
+    assert {"MODEL_CARD.md", "training/config.toml", "training/learning_curve.csv"} <= set(manifest["files"])
     assert (target / "training" / "config.toml").read_text() == "seed = 1\n"
+    assert "Not screened" in (target / "MODEL_CARD.md").read_text()
 
 
 def test_the_command_refuses_unknown_prior_settings(run, tmp_path):

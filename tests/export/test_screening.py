@@ -1,0 +1,98 @@
+"""Screening: what is seen of members of known skill, and what manifest and card say of it."""
+
+from __future__ import annotations
+
+import json
+
+import click.testing
+import numpy as np
+import pytest
+
+from export.cli import export
+from export.network import Layer, Network, flatten, layout
+from export.population import Description, Member, Population, save_run
+from export.screening import Screening, ScreeningSettings, annotated, flights, screen
+from export.study.cases import CASES
+from runtime.population import load_population
+from task.errors import UserError
+from task.state import ACTION, OBSERVATION
+
+NETWORK = Network(layers=(Layer(units=3),))
+QUICK = ScreeningSettings(references=1, duration=6.0)
+HARD_OVER, TRACKS, IDLE = 0, 1, 2
+
+
+def cast() -> Population:
+    """Return three one-layer members: hard over, a linear law that tracks, and one that holds near trim."""
+    tensors = {t.name: np.zeros((3, *t.shape), dtype=np.float32) for t in layout(NETWORK)}
+    weight, bias = tensors["layers.0.weight"], tensors["layers.0.bias"]
+    bias[HARD_OVER] = 9.0
+    bias[[TRACKS, IDLE], ACTION.de] = np.arctanh(-1.43 / 10.0)
+    weight[TRACKS, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -6.0, 3.0
+    weight[TRACKS, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -6.0, 3.0
+    members = tuple(Member(name=name, scores={"own": 1.0}) for name in ("hard_over", "tracks", "idle"))
+    description = Description(network=NETWORK, members=members, champion="tracks", training={"seed": 5, "teachers": []})
+    return Population(description, flatten(NETWORK, tensors))
+
+
+@pytest.fixture(scope="module")
+def seen() -> Screening:
+    done: list[int] = []
+    screening = screen(cast(), QUICK, done.append)
+    assert sum(done) == flights(cast(), QUICK) == 3 * len(CASES)
+    return screening
+
+
+def test_members_of_known_skill_are_told_apart(seen):
+    assert list(seen.scores) == [case.name for case in CASES]
+    assert seen.passed(HARD_OVER) == 0
+    assert seen.verdict(HARD_OVER).startswith("fails in every case")
+    assert seen.breaches(TRACKS, "nominal") == []
+    assert seen.passed(TRACKS) > seen.passed(HARD_OVER)
+    assert seen.scores["nominal"].nmae[TRACKS, 0] < 0.5 * seen.scores["nominal"].nmae[HARD_OVER, 0]
+
+
+def test_each_constraint_is_named_when_it_is_broken(seen):
+    words = " ".join(seen.breaches(HARD_OVER, "nominal"))
+    assert "saturated 100 %" in words
+    strict = seen._replace(settings=ScreeningSettings(references=1, duration=6.0, error=1e-3))
+    assert "tracks with" in " ".join(strict.breaches(TRACKS, "nominal"))
+    assert strict.verdict(TRACKS).startswith("fails")
+
+
+def test_scores_go_beside_those_of_the_run(seen):
+    population = annotated(cast(), seen)
+    scores = population.description.members[TRACKS].scores
+    assert scores["own"] == 1.0
+    assert scores["screening_nominal_nmae"] == pytest.approx(seen.scores["nominal"].nmae[TRACKS].mean(), rel=1e-3)
+    assert scores["screening_cases_passed"] == seen.passed(TRACKS)
+    assert population.description.training["screening"]["verdicts"]["hard_over"] == seen.verdict(HARD_OVER)
+    assert population.description.training["seed"] == 5
+
+
+def test_the_command_writes_a_card_and_the_runtime_reads_the_folder(tmp_path):
+    save_run(cast(), tmp_path / "run")
+    (tmp_path / "prior.toml").write_text("flights = 1\nduration = 10.0\n")
+    (tmp_path / "screening.toml").write_text("references = 1\nduration = 2.0\n")
+    target = tmp_path / "three"
+    arguments = [str(tmp_path / "run"), str(target), "--prior", str(tmp_path / "prior.toml")]
+    arguments += ["--screening", str(tmp_path / "screening.toml")]
+    result = click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    card = (target / "MODEL_CARD.md").read_text()
+    for text in ("# three", "3 flight policies", "Champion: **tracks**", "| hard_over | 0 |", "none: from scratch"):
+        assert text in card
+    assert max(map(len, card.splitlines())) < 1000
+    loaded = load_population(target)
+    assert loaded.manifest.members[TRACKS].scores["screening_lost"] >= 0.0
+    manifest = json.loads((target / "manifest.json").read_bytes())
+    assert "MODEL_CARD.md" in manifest["files"]
+    assert set(manifest["training"]["screening"]["verdicts"]) == {"hard_over", "tracks", "idle"}
+
+
+def test_settings_that_mean_nothing_are_refused_before_anything_is_flown(tmp_path):
+    save_run(cast(), tmp_path / "run")
+    (tmp_path / "screening.toml").write_text("references = 0\n")
+    arguments = [str(tmp_path / "run"), str(tmp_path / "out"), "--screening", str(tmp_path / "screening.toml")]
+    with pytest.raises(UserError, match="references"):
+        click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
