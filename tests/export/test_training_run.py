@@ -23,10 +23,8 @@ from export.training import checkpoint
 from export.training.cli import train as command
 from export.training.config import CONFIGS, TrainingConfig, as_toml, load
 from export.training.curve import Row, draw, write_csv
-from export.training.report import main as report
 from export.training.rollouts import discounted_penalty
 from export.training.train import CHECKPOINT, Trainer
-from task import results
 from task.errors import UserError
 
 TINY = """
@@ -281,22 +279,3 @@ def test_curve_is_written_and_drawn(tmp_path: Path) -> None:
     draw(tmp_path / "c.png", rows, "title")
     assert (tmp_path / "c.csv").read_text().splitlines()[0].startswith("generation,frames,simulated")
     assert (tmp_path / "c.png").stat().st_size > 5000
-
-
-def test_scores_of_a_run_are_written_as_results(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "run"
-    invoke(tiny, "--out", folder)
-    monkeypatch.chdir(tmp_path)
-    arguments = [str(folder), "--references", "1", "--cases", "F3,R1"]
-    outcome = CliRunner().invoke(report, arguments, catch_exceptions=False)
-    assert outcome.exit_code == 0, outcome.output
-    result = results.read(tmp_path / "results" / "training.json")
-    claim = result.claims[0]
-    population = load_run(folder)
-    champion = population.description.members[population.champion].name
-    rows = {row[0]: row for row in result.tables[0].rows}
-    assert claim.value == rows[champion][1]
-    assert claim.holds == (float(claim.value) < 8.0 and rows[champion][5] == 0)
-    assert [row[0] for row in result.tables[2].rows] == ["nominal", "F3", "R1"]
-    with pytest.raises(UserError, match=r"no case 'F9'; expected some of nominal, F1"):
-        CliRunner().invoke(report, [str(folder), "--cases", "F9"], catch_exceptions=False)
