@@ -105,6 +105,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Drift of the bias b that is allowed for on p, q, r, each sample [rad/s2]: thrust, trim and the centre of gravity
     move the pitching moment most."""
 
+    model_error: NotNegative = 0.3
+    """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
+    wrong [-]; added to the drift of the bias, so that hard manoeuvres alarm no more than gentle ones."""
+
     effectiveness_sd: Positive = 0.05
     """Standard deviation of lambda about 1 at the start of a flight [-]."""
 
@@ -126,13 +130,9 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     effectiveness_limit: Positive = 2.5
     """Largest abs(lambda) that is imagined [-]: a surface that hardly moves tells little of its effectiveness."""
 
-    alarm_threshold: Positive = 60.0
+    alarm_threshold: Positive = 120.0
     """Alarm when five normalised innovations squared add up to more than this. With a right model the sum is
     chi-squared with 15 degrees of freedom: 60 is exceeded twice in 10 million samples."""
-
-    alarm_colour: NotNegative = 0.15
-    """The threshold grows by this share for each e-fold of the process noise that turbulence asks for [-]: gusts last
-    longer than a sample, and what lasts adds up in the sum. Light turbulence doubles the threshold."""
 
     alarm_shift: Positive = 20.0
     """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]: a
@@ -145,9 +145,31 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     alarm_hold: NotNegative = 0.3
     """No second alarm within this time of the last [s]."""
 
-    unrest_time: Positive = 5.0
-    """Time constant with which the process noise of each axis follows turbulence [s]: it is raised until the normalised
-    innovations are 1 on average, so that the threshold keeps its meaning."""
+    unrest_time: Positive = 1.0
+    """Time constant with which the drift of each axis's bias follows turbulence [s]: it is raised until the normalised
+    innovations squared are 1 on average, so that the thresholds keep their meaning."""
+
+    q_effectiveness_agile: NotNegative = 0.005
+    """Drift of lambda, each sample, of the filter that looks whether a surface has changed [-]."""
+
+    agile_lead: Positive = 25.0
+    """Alarm when that filter explains the rates better than the believed one by so much [nats], with forgetting."""
+
+    delays: tuple[NotNegative, ...] = (0.05, 0.10, 0.15)
+    """Delays of the commands that may be found, beyond the population's ``command_lag`` [s]."""
+
+    crossed: bool = True
+    """Whether aileron and rudder may be found to have each other's commands."""
+
+    delay_memory: Fraction = 0.98
+    """Forgetting of the log-likelihoods of delays, crossed commands and the agile filter, each sample [-]."""
+
+    delay_lead: Positive = 14.0
+    """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]."""
+
+    belief_sd: NotNegative = 2.0
+    """What is imagined of lambda stays where it was within so many standard deviations of the estimate [-]: an
+    uncertain estimate changes nothing."""
 
     settle: NotNegative = 0.08
     """From an alarm to the imagination that it asks for [s]."""

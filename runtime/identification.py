@@ -213,7 +213,7 @@ class IncrementalModel:
         if self.effectiveness is not None:
             self.effectiveness.observe(x)
             # Theta's G stays that of healthy surfaces: it learns from what they do, not from what they are told.
-            np.multiply(self._moved_da, self.effectiveness.effectiveness, out=self._moved_da)
+            self.effectiveness.moved(self._moved_da)
         np.copyto(self._x, x)
         self._states += 1
         if self._states == 1:

@@ -152,6 +152,9 @@ class Recorder:
                 ("float", "unrest"),
                 ("float", "surprise"),
                 ("uint32_t", "alarms"),
+                ("uint16_t", "delay"),
+                ("uint8_t", "hypothesis"),
+                ("float", "confidence"),
             ],
         ) if structured else None  # fmt: skip
         self._log.begin()
@@ -203,7 +206,8 @@ class Recorder:
         if self._effectiveness is not None:
             self._log.write(
                 self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias,
-                found.noise_variance**0.5, max(found.unrest), found.filter.nis, found.alarms,
+                found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
+                found.delay_samples, found.evidence.believed, found.evidence.confidence,
             )  # fmt: skip
 
     def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:

@@ -1,0 +1,122 @@
+"""What may have become of the commands on their way to the surfaces, and which of it the evidence is for.
+
+Each hypothesis says which older command acts now (a delay beyond ``command_lag``) and on which surface (aileron and
+rudder crossed). How well the surfaces work is the filters' affair, so that a hypothesis is right whatever their
+effectiveness.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from task.state import ACTION, N_ACTION
+
+STRAIGHT = (int(ACTION.de), int(ACTION.da), int(ACTION.dr))
+CROSSED = (int(ACTION.de), int(ACTION.dr), int(ACTION.da))
+"""Whose command acts as elevator, aileron and rudder."""
+
+
+class Hypothesis(NamedTuple):
+    """What a command meets on its way."""
+
+    delay: int
+    """Samples beyond ``command_lag``."""
+    order: tuple[int, int, int]
+    """Whose command acts as elevator, aileron, rudder."""
+
+
+def hypotheses(delays: tuple[float, ...], crossed: bool, dt: float) -> tuple[Hypothesis, ...]:
+    """Return the healthy one first, then each delay [s], then crossed aileron and rudder without delay."""
+    late = sorted({round(delay / dt) for delay in delays} - {0})
+    straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
+    return (*straight, Hypothesis(0, CROSSED)) if crossed else straight
+
+
+class Inputs:
+    """The commands of the last samples, and what each hypothesis makes of them: ``u`` (M, 3) [rad]."""
+
+    def __init__(self, choices: tuple[Hypothesis, ...], command_lag: int) -> None:
+        self._least = command_lag + 1
+        length = self._least + max(choice.delay for choice in choices)
+        self._commands = np.zeros((length, N_ACTION))
+        self._flat = self._commands.reshape(-1)
+        self._older, self._newer = self._commands[:-1], self._commands[1:]
+        self._where = np.array([
+            [(length - self._least - choice.delay) * N_ACTION + of for of in choice.order] for choice in choices
+        ])  # fmt: skip
+        self.u, self.before = np.zeros((2, len(choices), N_ACTION))
+        """What acts on the last state, and on the one before it."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the commands."""
+        self._sent = 0
+
+    @property
+    def known(self) -> bool:
+        """Whether the command that acts now without a delay is known; older ones are taken to be the first one."""
+        return self._sent >= self._least
+
+    def send(self, action: np.ndarray) -> None:
+        """Take the command (3,) [rad] that was sent in answer to the last state."""
+        if self._sent == 0:
+            self._commands[:] = action
+        else:
+            np.copyto(self._older, self._newer)
+            self._commands[-1] = action
+        self._sent += 1
+
+    def take(self) -> np.ndarray:
+        """Return ``u``, brought up to date."""
+        np.copyto(self.before, self.u)
+        np.take(self._flat, self._where, out=self.u, mode="clip")
+        return self.u
+
+
+class Evidence:
+    """Log-likelihoods of the hypotheses with forgetting, and the one that is believed.
+
+    ``lead`` (M,): how far each is behind the best, at most ``cap`` [nats], 0 for the best. Another hypothesis is
+    believed when it leads the believed one by ``needed`` for ``HOLD`` samples.
+    """
+
+    HOLD = 3
+
+    def __init__(self, size: int, memory: float, needed: float) -> None:
+        self._memory, self._needed, self._cap = memory, needed, 2.0 * needed
+        self._size = size
+        self.reset()
+
+    def reset(self) -> None:
+        """Believe in the healthy aircraft; nothing seen."""
+        self.believed = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Keep what is believed and weigh anew."""
+        self.behind = [0.0] * self._size
+        """How far each hypothesis is behind the best [nats]."""
+        self.best = self.believed
+        self._held = 0
+
+    def weigh(self, log_likelihood: list[float]) -> bool:
+        """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""
+        score = [new - self._memory * behind for new, behind in zip(log_likelihood, self.behind, strict=False)]
+        top = max(score)
+        best = score.index(top)
+        self.behind = [min(top - each, self._cap) for each in score]
+        self._held = self._held + 1 if best == self.best and self.behind[self.believed] > self._needed else 0
+        self.best = best
+        if self._held < self.HOLD:
+            return False
+        self.believed, self._held = best, 0
+        return True
+
+    @property
+    def confidence(self) -> float:
+        """Share of the believed hypothesis in the likelihood of all, 0 to 1."""
+        weights = [math.exp(-behind) for behind in self.behind]
+        return weights[self.believed] / sum(weights)

@@ -1,0 +1,124 @@
+"""A bank of Kalman filters on body rates that differ in what they take to have reached the surfaces.
+
+The model is :mod:`task.rates`. Each filter's state: rates w (3), signed effectiveness lambda (3), bias b (3). Only
+p, q, r are measured; nothing is differentiated, so that gyro noise is smoothed by the filter's own integration. All
+filters are stepped at once: at nine states, what costs is the number of array operations, not their size.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from task.limits import DT
+from task.rates import N_EFFECT, RATES, RateModel, dynamic_pressure, effect_terms, features
+from task.state import N_ACTION
+
+N = RATES + N_ACTION + RATES
+"""States of a filter."""
+W, LAMBDA, B = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Where rates, effectiveness and bias lie among them."""
+
+
+class RateFilters:
+    """M Kalman filters, s = [w; lambda; b], s+ = F s + dt A phi, w measured with independent noise.
+
+    ``s`` (M, 9) and ``P`` (M, 9, 9) are changed in place. After :meth:`update`, lists of M have for each filter:
+    ``surprise`` the squared innovations of p, q, r over their own variances, ``nis`` the normalised innovation squared
+    (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
+    """
+
+    def __init__(self, model: RateModel, size: int, dt: float = DT) -> None:
+        self.dt = dt
+        self._drift = dt * np.ascontiguousarray(model.drift)
+        self._effect = dt * np.ascontiguousarray(model.effect.transpose(1, 2, 0)).reshape(N_EFFECT, RATES * N_ACTION)
+        self.s, self.P = np.zeros((size, N)), np.zeros((size, N, N))
+        self.q = np.zeros((size, N))
+        """Variance added at each prediction (M, 9)."""
+        self.r = 0.0
+        """Variance of each measured rate [rad2/s2]."""
+        self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
+        self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
+        self.drift_step = np.zeros(RATES)
+        """dt A phi of the last prediction (3,) [rad/s]."""
+        self.F_rates = np.zeros((size, RATES, N))
+        """The rows of F that are not the identity's: those of the rates (M, 3, 9)."""
+        self.F_rates[:, :, W] = np.eye(RATES)
+        self.F_rates[:, :, B] = dt * np.eye(RATES)
+        self.variances = self.P.reshape(size, N * N)[:, :: N + 1]
+        """The diagonals of P (M, 9); a view."""
+        self._F_effect = self.F_rates[:, :, LAMBDA]
+        self._F_transposed = self.F_rates.transpose(0, 2, 1)
+        self._P_rows, self._P_columns, self._P_rates = self.P[:, W], self.P[:, :, W], self.P[:, W, W]
+        self._P_transposed = self.P.transpose(0, 2, 1)
+        self._s_column, self._w = self.s[:, :, None], self.s[:, W]
+        # Products of arrays that always lie at the same place: elsewhere the last bit may differ.
+        self._phi, self._terms = np.zeros(model.drift.shape[0]), np.zeros(N_EFFECT)
+        self._effects = np.zeros((RATES, N_ACTION))
+        self._effects_flat = self._effects.reshape(-1)
+        self._rows, self._columns = np.zeros((size, RATES, N)), np.zeros((size, N, RATES))
+        self._stepped = np.zeros((size, RATES, 1))
+        self._product = np.zeros((size, N, N))
+        self._correction = np.zeros((size, N, 1))
+        self._innovation = np.zeros((size, RATES))
+        self._innovation_column = self._innovation[:, :, None]
+        self._S = np.zeros((size, RATES, RATES))
+        self._S_flat = self._S.reshape(size, RATES * RATES)
+        self._S_diagonal = self._S_flat[:, :: RATES + 1]
+        self._inverse = np.zeros((size, RATES, RATES))
+        self._inverse_flat = self._inverse.reshape(size, RATES * RATES)
+
+    def linearise(self, x: list[float], washed: float, u: np.ndarray) -> None:
+        """Set F and the drift's step.
+
+        x: the first ten states, of which p, q, r may be filtered; washed: the high-passed yaw rate [rad/s]; u (M, 3):
+        the deflections that act on x [rad], as each filter takes them to be.
+        """
+        p, q, r, V, alpha, beta, _, _, _, h = x
+        qbar = dynamic_pressure(V, h)
+        self._phi[:] = features(p, q, r, V, alpha, beta, washed, qbar)
+        np.dot(self._phi, self._drift, out=self.drift_step)
+        self._terms[:] = effect_terms(V, alpha, qbar)
+        np.dot(self._terms, self._effect, out=self._effects_flat)
+        np.multiply(self._effects, u[:, None, :], out=self._F_effect)
+
+    def predict(self) -> None:
+        """Take s and P one sample on, with F and the drift as linearised."""
+        np.matmul(self.F_rates, self._s_column, out=self._stepped)
+        np.add(self._stepped[:, :, 0], self.drift_step, out=self._w)
+        np.matmul(self.F_rates, self.P, out=self._rows)
+        np.copyto(self._P_rows, self._rows)
+        np.matmul(self.P, self._F_transposed, out=self._columns)
+        np.copyto(self._P_columns, self._columns)
+        np.add(self.variances, self.q, out=self.variances)
+
+    def update(self, w: np.ndarray) -> bool:
+        """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""
+        np.subtract(w, self._w, out=self._innovation)
+        np.copyto(self._S, self._P_rates)
+        np.add(self._S_diagonal, self.r, out=self._S_diagonal)
+        inverses = []
+        # Three by three and symmetric: by cofactors this is quicker than a library's general inverse.
+        for i, (S, (p, q, r)) in enumerate(zip(self._S_flat.tolist(), self._innovation.tolist(), strict=True)):
+            a, b, c, _, d, e, _, _, f = S
+            A, B, C, D, E, G = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
+            determinant = a * A + b * B + c * C
+            if not 0.0 < determinant < math.inf:
+                return False
+            each = 1.0 / determinant
+            A, B, C, D, E, G = A * each, B * each, C * each, D * each, E * each, G * each
+            inverses.append((A, B, C, B, D, E, C, E, G))
+            nis = A * p * p + D * q * q + G * r * r + 2.0 * (B * p * q + C * p * r + E * q * r)
+            self.nis[i] = nis
+            self.log_likelihood[i] = -0.5 * (nis + math.log(determinant))
+            self.surprise[i] = p * p / a, q * q / d, r * r / f
+        self._inverse_flat[:] = inverses
+        np.matmul(self._P_columns, self._inverse, out=self._columns)
+        np.matmul(self._columns, self._innovation_column, out=self._correction)
+        np.add(self._s_column, self._correction, out=self._s_column)
+        np.matmul(self._columns, self._P_rows, out=self._product)
+        np.subtract(self.P, self._product, out=self.P)
+        np.add(self.P, self._P_transposed, out=self._product)  # rounding must not make it lean
+        np.multiply(self._product, 0.5, out=self.P)
+        return True
