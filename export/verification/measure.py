@@ -17,7 +17,7 @@ from rich.console import Console
 
 from export.training.gymnasium_run import BANDS, load_agents, read_bands
 from export.training.run import CONFIG, CURVE
-from export.verification.archive import LINEAR, ArchiveSettings, Elites, load_elites
+from export.verification.archive import LINEAR, ArchiveSettings, load_elites
 from export.verification.findings import Found, Picked, result
 from export.verification.lander import FAULTS, Fault
 from export.verification.pictures import BLUE, ORANGE, Behaviours, Curve, learning, maps, robustness, shifts
@@ -27,10 +27,14 @@ from task.errors import UserError
 
 TEST_STREAM, VALIDATION_STREAM, TRIAL_STREAM = 4_000, 5_000, 6_000
 """Seeds of episodes: for the test of everybody, for the archive's champion, for picks with a fault."""
-VALIDATED, VALIDATION_EPISODES = 50, 20
-"""Elites with the best returns that compete for the archive's champion, and on how many episodes."""
-CANDIDATES, FIRST, KEEP, THEN = 50, 2, 10, 10
-"""A pick tries so many policies on FIRST episodes each, and the best KEEP of them on THEN more."""
+CANDIDATES = 50
+"""Elites with the best returns: they compete for the archive's champion, and picks choose among them."""
+VALIDATION_EPISODES = 10
+"""Of each candidate."""
+SHOWN = 150
+"""Elites with the best returns whose behaviour with a fault is looked at."""
+FIRST, KEEP, THEN = 2, 10, 10
+"""A pick tries every policy on FIRST episodes, and the best KEEP of them on THEN more."""
 
 
 class Run(NamedTuple):
@@ -53,21 +57,19 @@ def curve(run: Run, name: str, colour: str) -> Curve:
     """Return a run's learning curve, with the population's average where there is one."""
     average = None
     if len(run.cast.parameters) > 1:
-        rows = np.genfromtxt(run.folder / CURVE, delimiter=",", names=True)
+        rows = np.atleast_1d(np.genfromtxt(run.folder / CURVE, delimiter=",", names=True))
         average = np.stack([rows["frames"], rows["average"]], axis=1)
     return Curve(name, colour, read_bands(run.folder / BANDS), average)
 
 
-def archive_champion(grounds: Grounds, elites: Elites) -> int:
-    """Return the elite that lands best on episodes that the archive has not seen, among the best of its own."""
-    best = np.argsort(-elites.returns)[:VALIDATED]
-    cast = Cast(LINEAR, elites.parameters()[best])
+def champion_of(grounds: Grounds, cast: Cast) -> int:
+    """Return the policy that lands best, nominal, on episodes that nobody has seen."""
     landed = grounds.land(cast, "none", seeds(VALIDATION_STREAM, VALIDATION_EPISODES))
-    return int(best[landed.returns.mean(axis=1).argmax()])
+    return int(landed.returns.mean(axis=1).argmax())
 
 
 def behaviours(grounds: Grounds, cast: Cast, episode: int) -> dict[str, Behaviours]:
-    """Return where each policy touches down in the archive's own episode, nominal and with each fault."""
+    """Return where policies touch down in the episode of the archive, nominal and with each fault."""
     found = {}
     for fault in FAULTS:
         landed = grounds.land(cast, fault, np.array([episode]))
@@ -98,16 +100,18 @@ def main(pderl: Path, ddpg: Path, archive: Path, episodes: int, pictures: Path, 
         raise UserError(f"{pderl}: expected a population, got a single agent; see {CONFIG} there")
     grounds, settings = Grounds(), ArchiveSettings()
     repertoire = Cast(LINEAR, elites.parameters())
+    ranking = np.argsort(-elites.returns)
+    candidates = repertoire.pick(ranking[:CANDIDATES])
 
     console.print("the archive's champion")
-    best = archive_champion(grounds, elites)
+    best = champion_of(grounds, candidates)
     tests = seeds(TEST_STREAM, episodes)
     flown: dict[str, dict[str, np.ndarray]] = {}
     for who, cast in {
         "PDERL champion": population.cast.pick([population.champion]),
         "PDERL's learner": population.cast.pick([-1]),
         "DDPG": learner.cast.pick([learner.champion]),
-        "CMA-ME champion": repertoire.pick([best]),
+        "CMA-ME champion": candidates.pick([best]),
     }.items():
         console.print(f"{who}: {episodes} episodes in each of {len(FAULTS)} cases")
         flown[who] = {str(fault): grounds.land(cast, fault, tests).returns[0] for fault in FAULTS}
@@ -116,18 +120,15 @@ def main(pderl: Path, ddpg: Path, archive: Path, episodes: int, pictures: Path, 
     genetic = population.cast.pick(list(range(len(population.cast.parameters) - 1)))
     touchdowns = {
         "PDERL": behaviours(grounds, genetic, settings.episode),
-        "CMA-ME": behaviours(grounds, repertoire, settings.episode),
+        "CMA-ME": behaviours(grounds, repertoire.pick(ranking[:SHOWN]), settings.episode),
     }
     console.print("picks with a fault")
-    candidates = np.argsort(-elites.returns)[:CANDIDATES]
-    if best not in candidates:
-        raise AssertionError("the champion is one of the best elites")
     picks = [
         pick(grounds, cast, champion, fault, tests, who)
         for fault in FAULTS
         if fault != "none"
         for who, cast, champion in (
-            ("CMA-ME", repertoire.pick(candidates), int(np.flatnonzero(candidates == best)[0])),
+            ("CMA-ME", candidates, best),
             ("PDERL", population.cast, population.champion),
         )
     ]
@@ -137,10 +138,13 @@ def main(pderl: Path, ddpg: Path, archive: Path, episodes: int, pictures: Path, 
         population.training["config"]["environment"]["validation_episodes"],
         pictures / "lunar_learning.png",
     )
-    maps(touchdowns["CMA-ME"]["none"], touchdowns["PDERL"]["none"], settings, pictures / "lunar_archive.png")
+    archived = Behaviours(elites.behaviour, elites.returns)
+    maps(archived, touchdowns["PDERL"]["none"], settings, pictures / "lunar_archive.png")
     robustness(flown, pictures / "lunar_faults.png")
     shifts(touchdowns, settings, pictures / "lunar_behaviour.png")
-    found = Found(flown, touchdowns, picks, elites.progress, settings, (population.training, learner.training))
+    found = Found(
+        flown, archived, touchdowns, picks, elites.progress, settings, (population.training, learner.training)
+    )
     measured = result(found, grounds.episodes, time.perf_counter() - began)
     for claim in measured.claims:
         console.print(f"{claim.claim}: {claim.value} {claim.unit}", highlight=False)

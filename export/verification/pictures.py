@@ -132,10 +132,10 @@ def robustness(returns: dict[str, dict[str, np.ndarray]], path: Path) -> Path:
         return save(figure, path)
 
 
-def shifts(casts: dict[str, dict[str, Behaviours]], settings: ArchiveSettings, path: Path, most: int = 150) -> Path:
+def shifts(casts: dict[str, dict[str, Behaviours]], settings: ArchiveSettings, path: Path) -> Path:
     """Draw where behaviours go with each fault, arrows from nominal, coloured by the return with it (figure 4.5).
 
-    casts: name -> fault -> behaviours in one order of policies; of more than ``most`` policies the best are drawn.
+    casts: name -> fault -> behaviours in one order of policies.
     """
     faults = [fault for fault in FAULTS if fault != "none"]
     with mpl.rc_context(STYLE):
@@ -143,12 +143,11 @@ def shifts(casts: dict[str, dict[str, Behaviours]], settings: ArchiveSettings, p
         panels = figure.subplots(len(casts), len(faults), sharex=True, sharey=True, squeeze=False)
         shown: Any = None
         for row, (name, by_fault) in zip(panels, casts.items(), strict=True):
-            best = np.argsort(-by_fault["none"].returns)[:most]
-            x0, v0 = by_fault["none"].behaviour[best].T
+            x0, v0 = by_fault["none"].behaviour.T
             for axes, fault in zip(row, faults, strict=True):
-                x1, v1 = by_fault[fault].behaviour[best].T
+                x1, v1 = by_fault[fault].behaviour.T
                 shown = axes.quiver(
-                    x0, v0, x1 - x0, v1 - v0, by_fault[fault].returns[best], norm=RETURNS, cmap="viridis",
+                    x0, v0, x1 - x0, v1 - v0, by_fault[fault].returns, norm=RETURNS, cmap="viridis",
                     angles="xy", scale_units="xy", scale=1.0, width=0.003,
                 )  # fmt: skip
                 axes.plot(x0, v0, "o", color=GREY, ms=2.0)
