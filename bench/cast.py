@@ -93,8 +93,8 @@ class Bench:
     def trials(self, case: Case, hard: bool) -> list[Trial]:
         """Return the trials of a case, the same for everybody."""
         p, rng = self.protocol, np.random.default_rng([SEED, zlib.crc32(case.name.encode())])
-        self.stage.plants[0].reset(case.condition)
-        theta = float(self.stage.plants[0].trim.x[STATE.theta])
+        self.stage.plant.reset(case.condition)
+        theta = float(self.stage.plant.trim.x[STATE.theta])
         drawn = []
         for _ in range(p.hard_references if hard else p.easy_references):
             reference = random_reference(rng, p.hard_duration if hard else p.easy_duration, theta)

@@ -66,7 +66,7 @@ class Breeder:
         self.network = Network(layers=settings.layers, input_scale=settings.input_scale)
         self.stage = Stage()
         self.judge = Judge(self.stage, self.network, settings.trial)
-        self.drawer = Drawer(settings.trial, self.stage.plants[0])
+        self.drawer = Drawer(settings.trial, self.stage.plant)
         self.cases: dict[str, Case] = {case.name: case for case in (*EASY, *settings.cases)}
         self.hard = {case.name for case in settings.cases}
         try:
@@ -181,8 +181,8 @@ class Breeder:
         """Return what a specialist may start from: the main member's mirrors and levels, and all bred before it."""
         main = self.result(MAIN)
         assert main is not None, "the main member is bred first"
-        self.stage.plants[0].reset(NOMINAL)
-        alpha = float(self.stage.plants[0].trim.x[STATE.alpha])
+        self.stage.plant.reset(NOMINAL)
+        alpha = float(self.stage.plant.trim.x[STATE.alpha])
         found: dict[str, np.ndarray] = {}
         for gain in self.settings.gains:
             level = levelled(self.network, main, gain, alpha)

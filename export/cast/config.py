@@ -28,7 +28,9 @@ class SearchSettings(Settings, frozen=True):
     population: Annotated[int, Meta(ge=4)] = 13
     """Policies of one iteration; 4 + 3 ln(24) by the usual rule."""
     sigma: Positive = 0.3
-    """First step size, in units of the parameters."""
+    """First standard deviation of each parameter, in units of its start's magnitude plus ``floor``."""
+    floor: Positive = 1.0
+    """What a parameter that starts at zero is given for its magnitude."""
     symmetric: bool = False
     """Search only among policies of one layer that treat left and right alike, as the healthy aircraft does."""
     iterations: Count = 40

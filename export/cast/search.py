@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cma  # type: ignore[import-untyped]
 import numpy as np
@@ -57,11 +57,12 @@ def search(
     """
     chance, tuning, strategy = seed.spawn(3)
     rng = np.random.default_rng(chance)
-    options = {
+    options: dict[str, Any] = {
         "popsize": settings.population,
         "seed": int(strategy.generate_state(1)[0]) >> 1,
         "verbose": -9,
     }
+    options["CMA_stds"] = np.abs(start[free]) + settings.floor
     evolution = cma.CMAEvolutionStrategy(start[free], settings.sigma, options)
     policies = np.tile(start, (settings.population, 1))
     for _ in range(settings.iterations):

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from export.cast.cases import EASY, Case
-from export.cast.flights import Stage, Trial
+from export.cast.flights import Stage, Trial, make_pilot
 from export.network import Layer, Network, forward, n_parameters, unflatten
 from export.training.flights import Fleet
 from sim_bridge.faults import Effectiveness, Gust
 from sim_bridge.presets import R3_SENSORS
 from sim_bridge.sensors import SensorSettings
+from task.limits import ACTION_HIGH, ACTION_LOW
 from task.reference import base_reference
 from task.state import ACTION, OBSERVATION, STATE
 
@@ -33,7 +34,7 @@ def law(theta_gain):
 
 
 def reference(stage, seconds):
-    return base_reference(seconds, float(stage.plants[0].trim.x[STATE.theta]))
+    return base_reference(seconds, float(stage.plant.trim.x[STATE.theta]))
 
 
 def test_a_quiet_flight_is_the_trainers_flight(stage):
@@ -86,7 +87,7 @@ def test_noise_is_the_same_for_all_policies_and_only_they_see_it(stage):
     assert not np.array_equal(flown.action[:, 0, 0], flown.action[:, 0, 1])
     # At the first sample the true error is the reference's: what acted on it was not.
     s = np.zeros((1, 7))
-    s[0, :3], s[0, 6] = flown.error[0, 0, 0], stage.plants[0].trim.x[STATE.alpha]
+    s[0, :3], s[0, 6] = flown.error[0, 0, 0], stage.plant.trim.x[STATE.alpha]
     quiet = forward(NETWORK, unflatten(NETWORK, rows[:1]), s)[0]
     assert not np.allclose(flown.action[0, 0, 0], quiet, atol=1e-6)
     assert n_parameters(NETWORK) == rows.shape[1]
@@ -95,3 +96,20 @@ def test_noise_is_the_same_for_all_policies_and_only_they_see_it(stage):
 def test_a_cases_times_count_from_the_onset():
     (gust,) = Case(name="gust", faults=(Gust(start=1.0, end=4.0, down=3.0),)).begun(5.0)
     assert (gust.start, gust.end, gust.down) == (6.0, 9.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        Network(layers=(Layer(units=3),), input_scale=(8.0, 8.0, 20.0, 4.0, 4.0, 4.0, 8.0)),
+        Network(layers=(Layer(units=5), Layer(units=3, activation="linear")), action_scale=(0.1, 0.2, 0.1)),
+        Network(layers=(Layer(units=6, layer_norm="standard"), Layer(units=3))),
+    ],
+)
+def test_a_pilot_commands_what_the_exported_network_does(network):
+    rng = np.random.default_rng(0)
+    row = (0.4 * rng.standard_normal(n_parameters(network))).astype(np.float32)
+    pilot = make_pilot(network, row)
+    for s in 0.2 * rng.standard_normal((20, 7)):
+        expected = forward(network, unflatten(network, row[None].astype(float)), s)[0].clip(ACTION_LOW, ACTION_HIGH)
+        np.testing.assert_allclose(pilot(s), expected, atol=1e-6)
