@@ -84,10 +84,10 @@ def fit_phugoid(speed: np.ndarray) -> Phugoid:
 
     start = (speed.mean(), 0.0, np.ptp(speed) / 2.0, 0.01, 2.0 * math.pi / 45.0, 0.0)
     fitted, _ = curve_fit(model, t, speed, p0=start, maxfev=20_000)
-    mean, drift, _, decay, omega, _ = fitted
+    mean, drift, _, decay, omega, _ = fitted.tolist()
     residual = float(np.sqrt(np.mean((model(t, *fitted) - speed) ** 2)))
     natural = math.hypot(omega, decay)
-    return Phugoid(2.0 * math.pi / abs(omega), decay / natural, mean + drift * t[-1] / 2.0, residual)
+    return Phugoid(2.0 * math.pi / abs(omega), decay / natural, mean + drift * float(t[-1]) / 2.0, residual)
 
 
 class Tracked(NamedTuple):
@@ -111,7 +111,7 @@ class Tracked(NamedTuple):
             if abs(size) > math.radians(1.0):
                 final = self.reference[part, channel][-1]
                 beyond = np.sign(size) * (self.states[part, state] - final)
-                worst = max(worst, float(beyond.max()) / abs(size))
+                worst = max(worst, float(beyond.max() / abs(size)))
         return worst
 
 
