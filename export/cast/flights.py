@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from export.cast.cases import Case
-from export.network import Network, unflatten
+from export.network import Network, exceeds_limits, unflatten
 from export.training.acting import Cast
 from sim_bridge.plant import Plant
 from sim_bridge.schedule import FaultSchedule
@@ -17,12 +17,18 @@ from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.metrics import nmae, smoothness
 from task.observation import observation, tracking_error
 from task.reward import terminated
-from task.state import N_ACTION, N_OBSERVATION, N_REFERENCE, N_STATE
+from task.state import N_ACTION, N_REFERENCE, N_STATE
 
-CHECK = 5
+CHECK = 10
 """Samples between two looks at whether the flight is lost."""
 FAST = ("tanh", "linear")
 """Activations that :class:`Pilot` flies."""
+
+
+OF_STATE = observation(np.eye(N_STATE), np.zeros((N_STATE, N_REFERENCE))).T
+"""(7, 12): the observation's part that is linear in the state, as ``task.observation`` has it."""
+OF_REFERENCE = observation(np.zeros((N_REFERENCE, N_STATE)), np.eye(N_REFERENCE)).T
+"""(7, 3): its part that is linear in the reference."""
 
 
 class Trial(NamedTuple):
@@ -68,41 +74,63 @@ class Flown(NamedTuple):
 
 
 class Pilot:
-    """One policy of plain layers, one observation at a time: what :func:`export.network.forward` says, faster."""
+    """One policy of plain layers, one sample at a time: what :func:`export.network.forward` says, faster.
+
+    The observation is linear in state and reference, so that it moves into the first layer, and the reference's part
+    is computed for the whole flight at once.
+    """
 
     def __init__(self, network: Network, parameters: np.ndarray) -> None:
         """Take parameters (K,)."""
         tensors = unflatten(network, np.asarray(parameters, dtype=np.float32).astype(float))
-        self._layers = [
-            (tensors[f"layers.{i}.weight"].copy(), tensors[f"layers.{i}.bias"].copy(), layer.activation == "tanh")
-            for i, layer in enumerate(network.layers)
+        first = tensors["layers.0.weight"] * np.array(network.input_scale)
+        self._of_state, self._of_reference = first @ OF_STATE, first @ OF_REFERENCE
+        self._first_bias = tensors["layers.0.bias"]
+        self._inner = [
+            (tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(1, len(network.layers))
         ]
-        self._layers[0][0][:] *= np.array(network.input_scale)
+        self._tanh = [layer.activation == "tanh" for layer in network.layers]
         self._scale, self._offset = np.array(network.action_scale), np.array(network.action_offset)
+        self._shifted, self._limited = any(network.action_offset), exceeds_limits(network)
+        self._asked = np.zeros((0, 0))
 
-    def __call__(self, s: np.ndarray) -> np.ndarray:
-        """Return the action (3,) [rad] of an observation (7,), within the task's limits."""
-        h = s
-        for weight, bias, tanh in self._layers:
+    def brief(self, reference: np.ndarray) -> None:
+        """Begin a flight along a reference (T, 3) [rad]."""
+        self._asked = reference @ self._of_reference.T + self._first_bias
+
+    def __call__(self, k: int, x: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] at sample k and state x (12,), within the task's limits."""
+        h = self._of_state @ x
+        h += self._asked[k]
+        if self._tanh[0]:
+            np.tanh(h, out=h)
+        for (weight, bias), tanh in zip(self._inner, self._tanh[1:], strict=True):
             h = weight @ h
             h += bias
             if tanh:
                 np.tanh(h, out=h)
         h *= self._scale
-        h += self._offset
-        return np.minimum(np.maximum(h, ACTION_LOW, out=h), ACTION_HIGH, out=h)
+        if self._shifted:
+            h += self._offset
+        return np.clip(h, ACTION_LOW, ACTION_HIGH, out=h) if self._limited else h
 
 
 class BatchOfOne:
-    """One policy of any layers, one observation at a time."""
+    """One policy of any layers, one sample at a time; otherwise as :class:`Pilot`."""
 
     def __init__(self, network: Network, parameters: np.ndarray) -> None:
         """Take parameters (K,)."""
         self._cast = Cast(network, np.asarray(parameters, dtype=np.float32)[None], 1)
         self._scale, self._offset = np.array(network.action_scale), np.array(network.action_offset)
+        self._reference = np.zeros((0, N_REFERENCE))
 
-    def __call__(self, s: np.ndarray) -> np.ndarray:
-        """Return the action (3,) [rad] of an observation (7,), within the task's limits."""
+    def brief(self, reference: np.ndarray) -> None:
+        """Begin a flight along a reference (T, 3) [rad]."""
+        self._reference = reference
+
+    def __call__(self, k: int, x: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] at sample k and state x (12,), within the task's limits."""
+        s = observation(x, self._reference[k])
         u = self._cast(s.astype(np.float32)[None, None])[0, 0]
         return np.clip(self._offset + self._scale * u, ACTION_LOW, ACTION_HIGH)
 
@@ -162,17 +190,19 @@ class Stage:
         handover = 0 if opener is None else round(trial.handover / DT)
         states = np.empty((len(reference), N_STATE))
         action = np.empty((len(reference), N_ACTION))
-        s = np.empty(N_OBSERVATION)
+        pilot.brief(reference)
+        if opener is not None:
+            opener.brief(reference)
         lost, n = False, len(reference)
-        for k, wanted in enumerate(reference):
+        for k in range(len(reference)):
             if k % CHECK == 0 and terminated(x):
                 lost, n = True, max(k, 1)
                 break
             states[k] = x
             if schedule is not None:
                 schedule.apply(plant, k * DT)
-            observation(x if sensors is None else sensors.measure(x), wanted, out=s)
-            a = opener(s) if opener is not None and k < handover else pilot(s)
+            measured = x if sensors is None else sensors.measure(x)
+            a = opener(k, measured) if opener is not None and k < handover else pilot(k, measured)
             action[k] = a
             x = plant.step(a)
         error = np.nan_to_num(tracking_error(states[:n], reference[:n]), nan=0.0)

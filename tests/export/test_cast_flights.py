@@ -11,6 +11,7 @@ from sim_bridge.faults import Effectiveness, Gust
 from sim_bridge.presets import R3_SENSORS
 from sim_bridge.sensors import SensorSettings
 from task.limits import ACTION_HIGH, ACTION_LOW
+from task.observation import observation
 from task.reference import base_reference
 from task.state import ACTION, OBSERVATION, STATE
 
@@ -110,6 +111,9 @@ def test_a_pilot_commands_what_the_exported_network_does(network):
     rng = np.random.default_rng(0)
     row = (0.4 * rng.standard_normal(n_parameters(network))).astype(np.float32)
     pilot = make_pilot(network, row)
-    for s in 0.2 * rng.standard_normal((20, 7)):
+    reference, states = 0.2 * rng.standard_normal((20, 3)), 0.2 * rng.standard_normal((20, 12))
+    pilot.brief(reference)
+    for k, (x, wanted) in enumerate(zip(states, reference, strict=True)):
+        s = observation(x, wanted)
         expected = forward(network, unflatten(network, row[None].astype(float)), s)[0].clip(ACTION_LOW, ACTION_HIGH)
-        np.testing.assert_allclose(pilot(s), expected, atol=1e-6)
+        np.testing.assert_allclose(pilot(k, x), expected, atol=1e-6)
