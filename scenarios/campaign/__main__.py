@@ -19,7 +19,7 @@ from scenarios.campaign.plots import draw
 from scenarios.campaign.report import tables
 from scenarios.campaign.rows import choose_rows, known_rows
 from scenarios.campaign.store import Journal, read_parquet, write_parquet
-from scenarios.campaign.suites import HALVES, SUITES, load_suite
+from scenarios.campaign.suites import HALVES, SUITES, Half, load_suite
 from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
 from scenarios.cli import INTERRUPTED, console, default_jobs
@@ -34,12 +34,20 @@ QUICK = ("none", "F5 elevator x 0.3", "elevator x -1", "commands 100 ms late")
 QUICK_ROWS = "members,understudy,structured,pid,indi-rls-signfree"
 
 
-def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: str, count: int) -> list[Cell]:
-    """Return the flights; ``faults``: only those whose name or group contains one of these words. Raises UserError."""
-    found = [cell for name in suites for cell in cells(load_suite(name), half, count)]  # type: ignore[arg-type]
-    kept = [c for c in found if not faults or any(word in c.fault or word == c.group for word in faults)]
+def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, count: int) -> list[Cell]:
+    """Return the flights; ``faults``: only those of this name or group, or with it in their name. Raises UserError."""
+    found = [cell for name in suites for cell in cells(load_suite(name), half, count)]
+    if not faults:
+        return found
+    names = {c.fault for c in found} | {c.group for c in found}
+
+    def meant(cell: Cell, word: str) -> bool:
+        return word in (cell.fault, cell.group) if word in names else word in cell.fault
+
+    kept = [c for c in found if any(meant(c, word) for word in faults)]
     if not kept:
-        raise UserError(f"--fault {', '.join(faults)}: no such fault; groups are {', '.join({c.group for c in found})}")
+        groups = ", ".join(dict.fromkeys(c.group for c in found))
+        raise UserError(f"--fault {', '.join(faults)}: no such fault; give a part of a name, or a group: {groups}")
     return kept
 
 
@@ -90,7 +98,7 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--any-version", is_flag=True, help="Take flights that another version of the program flew.")
 @click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
 def main(
-    suites: tuple[str, ...], faults: tuple[str, ...], half: str, count: int, population: str, rows: str | None,
+    suites: tuple[str, ...], faults: tuple[str, ...], half: Half, count: int, population: str, rows: str | None,
     extra: tuple[str, ...], ours: str, robust: str, quick: bool, jobs: int | None, out: Path | None,
     results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
 ) -> None:  # fmt: skip
