@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import click
 
+from export.study.curves import curves
 from export.study.mutation import mutation
+from export.study.smoothness import smoothness
 from export.study.sweep import sweep
 from export.study.table71 import table71
 from understudy import run
@@ -15,7 +17,7 @@ def study() -> None:
     """Measure the thesis's tables and figures again, on this aircraft."""
 
 
-for command in (table71, mutation, sweep):
+for command in (table71, curves, smoothness, mutation, sweep):
     study.add_command(command)
 
 if __name__ == "__main__":

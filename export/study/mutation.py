@@ -104,7 +104,8 @@ def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:
 def mutation(runs: Path, references: int, name: str) -> None:
     """Compare Gaussian, proximal and safety-informed mutation. A stopped command goes on where it was."""
     began = time.perf_counter()
-    budget = short_runs.FRAMES * len(short_runs.OPERATORS) * len(short_runs.SEEDS)
+    frames = short_runs.operator("safe", short_runs.SEEDS[0]).frames
+    budget = frames * len(short_runs.OPERATORS) * len(short_runs.SEEDS)
     finished: dict[str, list[Short]] = {}
     with flights_progress(budget, "frames") as advance:
         for operator in short_runs.OPERATORS:
@@ -125,7 +126,7 @@ def mutation(runs: Path, references: int, name: str) -> None:
             claims=claims(finished, litters),
             tables=tables,
             notes=[
-                f"Over training: SERL(10) as serl10, {short_runs.FRAMES} frames a run, {short_runs.UPDATES_PER_FRAME} "
+                f"Over training: SERL(10) of export/study/configs, {frames} frames a run, 0.01 "
                 "critic updates per frame, same seeds for all operators. The thesis has 1.02 million frames, one "
                 "update per frame and one seed. Two seeds show no significance.",
                 "One generation: every actor of the run with safe mutation, seed "

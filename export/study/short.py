@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,16 +10,18 @@ from typing import Any, NamedTuple
 import msgspec
 import torch
 
-from export.population import DESCRIPTION
+from export.population import DESCRIPTION, load_run
 from export.training import checkpoint
 from export.training.config import TrainingConfig, load
 from export.training.curve import Row
-from export.training.run import run, start
+from export.training.run import CURVE, run, start
 from export.training.train import CHECKPOINT
 from task.errors import UserError
 
 RUNS = Path("runs/study")
 """Where short runs are kept."""
+CONFIGS = Path(__file__).parent / "configs"
+"""The short runs' own configurations."""
 
 
 class Short(NamedTuple):
@@ -29,14 +32,14 @@ class Short(NamedTuple):
     curve: list[Row]
 
 
-def varied(base: str, name: str, frames: int, seed: int, **changes: dict[str, Any]) -> TrainingConfig:
-    """Return configuration ``base`` with another name, budget and seed; ``changes``: settings by table.
+def varied(base: str, name: str, seed: int, **changes: dict[str, Any]) -> TrainingConfig:
+    """Return the study's configuration ``base`` with another name and seed; ``changes``: settings by table.
 
-    ``varied("serl10", "gaussian", 400_000, 1, genetic={"mutation": "gaussian"})``
+    ``varied("serl10", "gaussian", 1, genetic={"mutation": "gaussian"})``
     """
-    config = load(base)
+    config = load(str(CONFIGS / f"{base}.toml"))
     tables = {table: msgspec.structs.replace(getattr(config, table), **change) for table, change in changes.items()}
-    return msgspec.structs.replace(config, name=name, frames=frames, seed=seed, validation_references=1, **tables)
+    return msgspec.structs.replace(config, name=name, seed=seed, **tables)
 
 
 def counted(advance: Callable[[int], None], budget: int) -> Callable[[Row], None]:
@@ -53,19 +56,43 @@ def counted(advance: Callable[[int], None], budget: int) -> Callable[[Row], None
 
 
 def train(config: TrainingConfig, report: Callable[[Row], None], runs: Path = RUNS) -> Short:
-    """Train, go on with, or only read the run of this name and seed; raise UserError when it was stopped.
+    """Train, go on with, or only read the run of this name and seed.
 
-    A run of that name with other settings is refused, as ``understudy train`` refuses it.
+    Raises UserError when the run is stopped, or when one of that name was made with other settings.
     """
     folder = runs / f"{config.name}-{config.seed}"
-    torch.set_num_threads(1)
-    trainer = start(config, folder, torch.device("cpu"), resume=True)
-    if trainer.frames < config.frames or not (folder / DESCRIPTION).exists():
-        if run(trainer, folder, report) is None:
+    if not (folder / DESCRIPTION).exists():
+        torch.set_num_threads(1)
+        if run(start(config, folder, torch.device("cpu"), resume=True), folder, report) is None:
             raise UserError(f"{folder}: stopped; the same command goes on")
-    else:
-        report(trainer.curve[-1])
-    return Short(folder, config, trainer.curve)
+    made = load_run(folder).description.training["config"]
+    if (other := _difference(made, msgspec.to_builtins(config))) is not None:
+        raise UserError(f"{folder}: made with another {other} than the study has now; remove it and measure again")
+    curve = read_curve(folder)
+    report(curve[-1])
+    return Short(folder, config, curve)
+
+
+def read_curve(folder: Path) -> list[Row]:
+    """Return the learning curve of a run; raise UserError when there is none."""
+    try:
+        with (folder / CURVE).open(newline="") as file:
+            return [msgspec.convert(row, Row, strict=False) for row in csv.DictReader(file)]
+    except (OSError, msgspec.ValidationError) as error:
+        raise UserError(
+            f"{folder / CURVE}: no learning curve of a training run: {str(error).splitlines()[0]}"
+        ) from None
+
+
+def _difference(made: dict[str, Any], wanted: dict[str, Any]) -> str | None:
+    """Return the first setting of a run that is not what is wanted; settings it did not know do not count."""
+    for key, value in made.items():
+        if isinstance(value, dict):
+            if (inner := _difference(value, wanted.get(key) or {})) is not None:
+                return f"{key}.{inner}"
+        elif msgspec.json.encode(value) != msgspec.json.encode(wanted.get(key)):
+            return key
+    return None
 
 
 def memories(short: Short) -> dict[str, torch.Tensor]:
