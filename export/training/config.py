@@ -67,6 +67,9 @@ class TD3Settings(Settings, frozen=True):
     """Frames gathered before the first update."""
     updates_per_frame: NonNegative = 1.0
     """Critic updates for each frame gathered."""
+    reward_scale: Positive = 1.0
+    """Multiplied onto every reward that the critics see, and onto CAPS's weights beside them. The optimum stays;
+    a critic whose values are near one gets there in fewer of Adam's steps, which do not grow with the error."""
     discount_penalty: bool = True
     """Remember a crash with the discounted value of losing C_P in every remaining frame, instead of their sum
     (eq. 13), which would be up to 4000 in one reward; the fitness keeps the sum."""

@@ -51,6 +51,13 @@ class Flights(NamedTuple):
         return result
 
 
+def together(groups: list[Flights]) -> Flights:
+    """Return flights of several groups of actors on the same references as if they had been flown as one."""
+    axes = (1, 1, 1, 1, 0, 0)  # the axis of the actors in each field
+    fields = zip(*groups, strict=True)
+    return Flights(*(np.concatenate(parts, axis=axis) for axis, parts in zip(axes, fields, strict=True)))
+
+
 PUBLISHED = Family(np.deg2rad(30.0), np.deg2rad(20.0), 5, 1 / 6, 10)
 """The training references of the published runs; the text has 25 and 45 deg (``task.reference``)."""
 
@@ -76,6 +83,10 @@ def _published_reference(rng: np.random.Generator, duration: float, theta_trim: 
     return reference
 
 
+IN_STEP = 14
+"""Aircraft that fly side by side at once: more of them fall out of a core's cache, and fly half as fast."""
+
+
 class Fleet:
     """Aircraft that fly side by side in one thread; made once, used for every generation."""
 
@@ -94,11 +105,28 @@ class Fleet:
         noise: np.ndarray | None = None,
         prepare: Callable[[Plant], None] | None = None,
     ) -> Flights:
-        """Fly P actors (P, K) on E references (E, T + 1, 3) [rad] from trim, P * E aircraft in step.
+        """Fly P actors (P, K) on E references (E, T + 1, 3) [rad] from trim, every flight of its own.
 
         noise: (T, E, 3) added to the last actor's u, which is clipped to [-1, 1]; prepare: called on every
         aircraft after its reset, to break it.
         """
+        size = max(IN_STEP // references.shape[0], 1)
+        starts = range(0, parameters.shape[0], size)
+        groups = [
+            self._in_step(network, parameters[i : i + size], references, noise if i == starts[-1] else None, prepare)
+            for i in starts
+        ]
+        return together(groups)
+
+    def _in_step(
+        self,
+        network: Network,
+        parameters: np.ndarray,
+        references: np.ndarray,
+        noise: np.ndarray | None,
+        prepare: Callable[[Plant], None] | None,
+    ) -> Flights:
+        """Fly some of the actors, P * E aircraft in step."""
         P, E, T = parameters.shape[0], references.shape[0], references.shape[1] - 1
         N = P * E
         self.plants += [Plant() for _ in range(N - len(self.plants))]

@@ -28,10 +28,11 @@ def behavioural_distance(network: Network, parameters: Tensor, states: Tensor) -
 
     states: (P, B, 7), those visited by each actor.
     """
-    count, batch, _ = states.shape
-    u = act(network, parameters, states.flatten(0, 1)).view(count, count, batch, -1)  # u[actor, visited by]
-    own = u.diagonal(dim1=0, dim2=1).permute(2, 0, 1)  # (visited by itself, B, 3)
-    one_way = (u - own).square().sum(-1).mean(-1)  # [x, y]: on y's states, x against y
+    actors = Stack(network, views(network, parameters))
+    one_way = torch.empty(len(states), len(states), device=states.device)
+    for y, visited in enumerate(states):  # one actor's states at a time stay in a processor's cache
+        u = actors(visited)
+        one_way[:, y] = (u - u[y]).square().sum(-1).mean(-1)
     return one_way + one_way.T
 
 
@@ -40,9 +41,13 @@ def q_filter(network: Network, first: Tensor, second: Tensor, states: Tensor, q:
 
     The indicators of eq. 6: mu_x where Q(s, mu_x) > Q(s, mu_y), mu_y where it is less, neither where equal.
     """
-    u_x, u_y = act(network, first, states), act(network, second, states)
-    q_x, q_y = q(states, u_x), q(states, u_y)
-    return torch.where(q_x > q_y, u_x, u_y), (q_x != q_y)[..., 0]
+    targets, chosen = [], []
+    for x, y, visited in zip(first, second, states, strict=True):  # pair by pair: all at once fall out of cache
+        u_x, u_y = act(network, torch.stack([x, y]), visited)
+        q_x, q_y = q(visited, u_x), q(visited, u_y)
+        targets.append(torch.where(q_x > q_y, u_x, u_y))
+        chosen.append((q_x != q_y)[..., 0])
+    return torch.stack(targets), torch.stack(chosen)
 
 
 def cloning_loss(u: Tensor, target: Tensor, chosen: Tensor) -> Tensor:

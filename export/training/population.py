@@ -75,8 +75,10 @@ class Population:
         if not plan.children:
             return
         if s.pairing == "distance":
-            states = self.memory.sample(list(range(s.population)), s.pairing_batch, generator)
-            score = behavioural_distance(self.network, self.parameters, states).cpu().numpy()
+            states = self.memory.sample(plan.parents, s.pairing_batch, generator)
+            distance = behavioural_distance(self.network, self.parameters[plan.parents], states)
+            score = np.zeros((s.population, s.population))
+            score[np.ix_(plan.parents, plan.parents)] = distance.cpu().numpy()
         else:
             score = fitness[:, None] + fitness
         pairs = pair(plan.parents, score, len(plan.children))

@@ -87,7 +87,7 @@ def write_population(trainer: Trainer, folder: Path) -> Scores:
     description = Description(
         network=trainer.network,
         members=members,
-        champion=names[int(np.argmin(scores.ranking()))],
+        champion=names[int(np.lexsort((scores.nmae.mean(axis=1), scores.lost.any(axis=1)))[0])],
         training=provenance(trainer),
     )
     save_run(Population(description, parameters), folder)

@@ -101,7 +101,7 @@ class TD3:
         s = self.settings
         u = target_action(self._actor_target(batch.next_state)[0], noise, s.noise_clip)
         q = self._critics_target(torch.cat([batch.next_state, u], 1))
-        return bellman_target(batch.reward, batch.continues, q, s.gamma)
+        return bellman_target(s.reward_scale * batch.reward, batch.continues, q, s.gamma)
 
     def _critic_step(self, state_action: Tensor, y: Tensor) -> Tensor:
         """Descend the sum of both critics' mean squared Bellman errors (eq. 1); return it."""
@@ -119,7 +119,8 @@ class TD3:
         to_q = self._first_critic.backward(torch.full_like(q, -1.0 / count), to_parameters=False, to_input=True)
         grad = to_q[..., state.shape[1] :]
         if smooth:
-            caps = caps_gradient(u[:, :count], u[:, count : 2 * count], u[:, 2 * count :], s.lambda_s, s.lambda_t)
+            weights = s.reward_scale * s.lambda_s, s.reward_scale * s.lambda_t
+            caps = caps_gradient(u[:, :count], u[:, count : 2 * count], u[:, 2 * count :], *weights)
             caps[:, :count] += grad
             grad = caps
         self.actor.backward(grad)

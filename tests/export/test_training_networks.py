@@ -89,6 +89,25 @@ def test_forward_and_backward_equal_autograd(network: Network, shared: bool) -> 
     torch.testing.assert_close(to_input, inputs.grad, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.parametrize("network", NETWORKS)
+def test_kernels_compute_what_the_tensor_operations_do(network: Network) -> None:
+    generator = torch.Generator().manual_seed(5)
+    parameters = shuffled(network, 3)
+    x, upstream = torch.randn(3, 11, network.observation, generator=generator), None
+    results = []
+    for precision in (torch.float32, torch.float64):  # kernels serve single precision alone
+        stack = Trainable(network, parameters.to(precision), 1e-3)
+        out = stack(x.to(precision)).clone()
+        upstream = torch.randn(out.shape, generator=generator) if upstream is None else upstream
+        to_input = stack.backward(upstream.to(precision), to_input=True).clone()
+        gradient = stack.grad.clone()
+        for _ in range(3):
+            stack.step(0.5)
+        results.append([value.double() for value in (out, to_input, gradient, stack.packed)])
+    for fast, exact in zip(*results, strict=True):
+        torch.testing.assert_close(fast, exact, rtol=2e-4, atol=2e-5)
+
+
 def test_gradient_is_the_difference_quotient() -> None:
     network = NETWORKS[0]
     stack = Trainable(network, shuffled(network, 1).double(), 0.0)
