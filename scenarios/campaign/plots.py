@@ -16,7 +16,9 @@ from scenarios.campaign.table import Campaign
 from scenarios.figures import save
 from scenarios.panels import INK, STYLE
 
-LARGEST_RATIO = 4.0
+SURVIVAL_SCALE = (-30.0, 130.0)
+"""Of the first picture [%]; wider than what there is, so that numbers are read on its darkest colours."""
+LARGEST_RATIO = 6.0
 """The scale of the second picture ends here [-]."""
 
 
@@ -39,7 +41,7 @@ def picture(campaign: Campaign, suite: str) -> Figure:
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
         figure = Figure(figsize=(4.0 + 0.86 * len(rows), 1.5 + 0.2 * len(faults)), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        _map(left, alive, "survivors %", "RdYlBu", 0.0, 100.0, "{:.0f}")
+        _map(left, alive, "survivors %", "RdYlBu", *SURVIVAL_SCALE, "{:.0f}")
         _map(right, np.log2(ratio), "nMAE over the oracle's, median of survivors", "RdYlBu_r",
              -math.log2(LARGEST_RATIO), math.log2(LARGEST_RATIO), "{:.2g}", ratio)  # fmt: skip
         left.set_yticks(range(len(faults)), faults)
@@ -57,7 +59,7 @@ def _map(
     shown: np.ndarray | None = None,
 ) -> None:  # fmt: skip
     """Draw one map with its numbers; what is not known stays white."""
-    ax.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", alpha=0.8)
+    ax.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", alpha=0.75)
     ax.set_title(title)
     for (i, j), value in np.ndenumerate(values if shown is None else shown):
         if np.isfinite(value):

@@ -97,6 +97,12 @@ def test_rows_that_follow_from_the_members():
         Campaign([flight("members", 0, 1.0, m) for m in ("good", "mirror", "calm")], "good", "odd")
 
 
+def test_times_are_taken_where_a_change_is_asked_for():
+    flown = campaign()
+    assert flown.casting(flown.pick("structured")) == [0.25, 0.25]  # of the first flight the champion is the right one
+    assert flown.casting(flown.pick("pid")) == []
+
+
 def test_claims_are_figures_of_the_flights_and_may_fail():
     found = {c.claim: c for c in claims(campaign(), "structured", faithful=False)}
     alive = found["structured, hard, sensors ideal: survives of what the oracle survives"]
