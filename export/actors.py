@@ -9,9 +9,6 @@ from export.builder import Builder
 from export.network import Layer, Network, exceeds_limits, layout, unflatten
 from task.limits import ACTION_HIGH, ACTION_LOW
 
-SATURATED = 20.0
-"""tanh of this is 1 in float32: the unit that carries a bias through a tanh layer."""
-
 Tensors = dict[str, str]
 """One layer's tensors of all actors, by kind."""
 
@@ -19,10 +16,9 @@ Tensors = dict[str, str]
 class Actors:
     """Every member and, last, the incumbent, whose flat parameters are the graph's input ``incumbent``.
 
-    Observations are rows that end in a constant one, and a layer without normalisation passes that one on, so that the
-    next layer's bias is a row of its weight and costs no node. The centring of a LayerNorm is linear, and moves into
-    weight and bias. ``unit`` (3,) [rad]: what a command of one means here; the scale of the actions is left to whoever
-    uses them where that is possible.
+    Observations are rows that end in a constant one, so that the first bias is a row of its weight. The centring of a
+    LayerNorm is linear, and moves into weight and bias. ``unit`` (3,) [rad]: what a command of one means here; the
+    scale of the actions is left to whoever uses them where that is possible.
     """
 
     def __init__(self, g: Builder, network: Network, parameters: np.ndarray) -> None:
@@ -41,75 +37,79 @@ class Actors:
         stacked = unflatten(network, parameters)
         cast = {t.name: g.constant(stacked[t.name], t.name) for t in tensors}
         self._layers: list[Tensors] = []
-        self._carries = [True]
-        """Whether the rows that enter a layer end in a one."""
         for i, layer in enumerate(network.layers):
-            carries = layer.layer_norm == "none" and i < len(network.layers) - 1
+            kinds = ("weight", "bias") if layer.layer_norm == "none" else ("weight", "bias", "gain", "shift")
             members, incumbent = (
-                self._prepared(g, {kind: of[f"layers.{i}.{kind}"] for kind in _kinds(layer)}, layer, i, count, carries)
-                for of, count in ((cast, len(parameters)), (own, 1))
+                self._prepared(g, {kind: of[f"layers.{i}.{kind}"] for kind in kinds}, layer, i) for of in (cast, own)
             )
+            axis = 1 if i == len(network.layers) - 1 else 0
             self._layers.append({
-                kind: g.op("Concat", members[kind], incumbent[kind], axis=0, name=f"all.{i}.{kind}") for kind in members
+                kind: g.op("Concat", members[kind], incumbent[kind], axis=axis, name=f"all.{i}.{kind}")
+                for kind in members
             })  # fmt: skip
-            self._carries.append(carries)
 
-    def _prepared(self, g: Builder, of: Tensors, layer: Layer, i: int, count: int, carries: bool) -> Tensors:
-        """Return a layer's tensors as the loop wants them: weight (count, inputs, units), others (count, 1, units)."""
-        made = {kind: g.op("Unsqueeze", of[kind], g.integers(1)) for kind in of if kind != "weight"}
-        made["weight"] = g.op("Transpose", of["weight"], perm=[0, 2, 1])
+    def _prepared(self, g: Builder, of: Tensors, layer: Layer, i: int) -> Tensors:
+        """Return a layer's tensors of n actors as the loop wants them.
+
+        Hidden layers: weight (n, inputs, units), the others (n, 1, units). Output layer: weight (3, n, inputs), the
+        others (3, n).
+        """
+        made = dict(of)
         if layer.layer_norm != "none":
             for kind in ("weight", "bias"):
-                mean = g.op("ReduceMean", made[kind], g.integers(-1), keepdims=1)
+                mean = g.op("ReduceMean", made[kind], g.integers(1), keepdims=1)
                 made[kind] = g.op("Sub", made[kind], mean, name=f"centred.{kind}")
             if layer.layer_norm == "unbiased":
                 root = g.constant(np.array(np.sqrt(layer.units - 1.0)), "root")
                 made["gain"] = g.op("Mul", made["gain"], root, name="scaled.gain")
-        one = np.full((count, 1, 1), SATURATED if layer.activation == "tanh" else 1.0)
-        inputs = self._network.layers[i - 1].units if i else self._network.observation
-        if carries:
-            made["weight"] = self._beside(g, made["weight"], np.zeros((count, inputs, 1)))
-            made["bias"] = self._beside(g, made["bias"], one)
-        if self._carries[i]:
-            made["weight"] = g.op("Concat", made["weight"], made.pop("bias"), axis=1, name="weight_and_bias")
+        first, output = i == 0, i == len(self._network.layers) - 1
+        if first:
+            made["weight"] = g.op("Concat", made["weight"], g.op("Unsqueeze", made.pop("bias"), g.integers(2)), axis=2)
+        for kind, tensor in made.items():
+            if output:
+                made[kind] = g.op("Transpose", tensor, perm=[1, 0, 2] if kind == "weight" else [1, 0])
+            elif kind == "weight":
+                made[kind] = g.op("Transpose", tensor, perm=[0, 2, 1])
+            else:
+                made[kind] = g.op("Unsqueeze", tensor, g.integers(1))
         return made
-
-    @staticmethod
-    def _beside(g: Builder, x: str, column: np.ndarray) -> str:
-        return g.op("Concat", x, g.constant(column, "unit_of_one"), axis=2)
 
     def act(self, g: Builder, rows: str) -> str:
         """Add all policies: scaled observations and a one (A, M, 8) -> commands in ``unit`` (M, 3, A)."""
         network, x = self._network, rows
         for i, (layer, tensors) in enumerate(zip(network.layers, self._layers, strict=True)):
-            x = g.op("MatMul", x, tensors["weight"])
-            if not self._carries[i]:
+            output = i == len(network.layers) - 1
+            if output:
+                # three units: a product and a sum are cheaper than one matrix product per actor
+                x = g.op("Unsqueeze", g.op("Transpose", x, perm=[1, 0, 2], name="x_rows"), g.integers(1))
+                x = g.op("ReduceSum", g.op("Mul", x, tensors["weight"]), g.integers(-1), keepdims=0)
+            else:
+                x = g.op("MatMul", x, tensors["weight"])
+            if "bias" in tensors:
                 x = g.op("Add", x, tensors["bias"])
             if layer.layer_norm != "none":
-                x = _normalised(g, x, layer, network.layer_norm_eps, tensors)
+                x = _normalised(g, x, layer, network.layer_norm_eps, tensors, 1 if output else -1)
             x = activation(g, x, layer, network)
-        command = g.op("Transpose", x, perm=[1, 2, 0], name="command")
         if self._scaled:
-            command = g.op("Mul", command, g.constant(np.array(network.action_scale)[:, None], "action_scale"))
-            command = g.op("Add", command, g.constant(np.array(network.action_offset)[:, None], "action_offset"))
+            x = g.op("Mul", x, g.constant(np.array(network.action_scale)[:, None], "action_scale"))
+            x = g.op("Add", x, g.constant(np.array(network.action_offset)[:, None], "action_offset"))
         if exceeds_limits(network):
             limits = np.sort([(limit - self.offset) / self.unit for limit in (ACTION_LOW, ACTION_HIGH)], axis=0)
-            command = g.op("Max", command, g.constant(limits[0][:, None], "action_low"))
-            command = g.op("Min", command, g.constant(limits[1][:, None], "action_high"))
-        return command
+            x = g.op("Max", x, g.constant(limits[0][:, None], "action_low"))
+            x = g.op("Min", x, g.constant(limits[1][:, None], "action_high"))
+        return x
 
 
-def _kinds(layer: Layer) -> tuple[str, ...]:
-    return ("weight", "bias") if layer.layer_norm == "none" else ("weight", "bias", "gain", "shift")
-
-
-def _normalised(g: Builder, x: str, layer: Layer, eps: float, tensors: Tensors) -> str:
+def _normalised(g: Builder, x: str, layer: Layer, eps: float, tensors: Tensors, axis: int) -> str:
     """Add a LayerNorm of what is centred already; the gain of ``unbiased`` carries sqrt(units - 1)."""
-    if layer.layer_norm == "standard":
+    if layer.layer_norm == "standard" and axis == -1:
         x = g.op("LayerNormalization", x, g.constant(np.ones(layer.units), "no_gain"), axis=-1, epsilon=eps)
+    elif layer.layer_norm == "standard":
+        energy = g.op("ReduceMean", g.op("Mul", x, x), g.integers(axis), keepdims=1)
+        x = g.op("Div", x, g.op("Sqrt", g.op("Add", energy, g.constant(np.array(eps), "eps"))))
     else:
         # c / (sqrt(c'c / (n - 1)) + eps) = sqrt(n - 1) c / (sqrt(c'c) + sqrt(n - 1) eps)
-        length = g.op("ReduceL2", x, g.integers(-1), keepdims=1)
+        length = g.op("ReduceL2", x, g.integers(axis), keepdims=1)
         norm = g.op("Add", length, g.constant(np.array(np.sqrt(layer.units - 1.0) * eps), "root_eps"), name="norm")
         x = g.op("Div", x, norm)
     return g.op("Add", g.op("Mul", x, tensors["gain"]), tensors["shift"], name="normalised")

@@ -7,7 +7,7 @@ Inside the loop a node costs about as much to dispatch as to compute, so that th
 - states are columns, (M, rows, A) for M models and A actors; whatever a step needs of them is one product with a matrix
   that is made before the loop (:mod:`export.stepping`);
 - all policies are one product a layer (:mod:`export.actors`);
-- commands wait in a queue as long as the command lag and the delay ask for: its length is that of the loop's state;
+- commands wait in a queue at the end of the state, as long as the command lag and the delay ask for;
 - altitude, reward, termination and safety are taken from the whole trajectory after the loop.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 import onnx
 
 from export.actors import Actors
-from export.builder import Builder, Shape, value
+from export.builder import Builder, value
 from export.network import Network
 from export.rollout import MAX_DELAY
-from export.stepping import MOVES, N_CARRIED, N_LINEAR, N_PRODUCTS, Step, observed_reference, products
+from export.stepping import ACTING, MOVES, N_LINEAR, N_PRODUCTS, Step, observed_reference, products
 from task.limits import DT
 from task.model import N_REGRESSORS
 from task.reward import (
@@ -105,38 +105,27 @@ def _scores(g: Builder, before: str, after: str, reference: str) -> tuple[str, s
     return tuple(g.op("ReduceSum", x, g.integers(0), keepdims=0) for x in (earned, count))  # type: ignore[return-value]
 
 
-class _Start:
-    """What the loop starts from, for M models and A actors."""
+def _start(g: Builder, actors: Actors, count: int, lag: int) -> str:
+    """Add what the loop starts from: L of :mod:`export.stepping`, (M, rows, A)."""
+    of_network = g.op("Sub", "commands", g.constant(actors.offset, "offset"))
+    sent = g.op("Div", of_network, g.constant(actors.unit, "unit"))
+    # the command that acted last, and the lag + delay younger ones
+    first = g.op("Sub", g.integers(MAX_DELAY), g.op("Reshape", "delay", g.integers(1)), name="first_command")
+    recent = g.op("Slice", sent, first, g.integers(_END), g.integers(0), name="recent")
+    parts = [
+        g.constant(np.ones(1), "one"), "x", "dx", g.constant(np.zeros(N_PRODUCTS), "no_product"),
+        g.op("Reshape", recent, g.integers(-1)),
+    ]  # fmt: skip
+    rows = g.op("Concat", *parts, axis=0)
+    models = _slice(g, g.op("Shape", "model"), 0, 0, 1)
+    shape = g.op("Concat", models, g.op("Shape", rows), g.integers(count), axis=0)
+    return g.op("Expand", g.op("Unsqueeze", rows, g.integers(0, 2)), shape, name="linear_start")
 
-    def __init__(self, g: Builder, actors: Actors, count: int, lag: int) -> None:
-        models = g.op("Slice", g.op("Shape", "model"), g.integers(0), g.integers(1), name="models")
 
-        def columns(rows: str, height: int) -> str:
-            column = g.op("Reshape", rows, g.integers(1, height, 1))
-            return g.op("Expand", column, g.op("Concat", models, g.integers(height, count), axis=0))
-
-        sent = g.op(
-            "Div", g.op("Sub", "commands", g.constant(actors.offset, "offset")), g.constant(actors.unit, "unit")
-        )
-        # the lag + delay + 1 commands that are still to act, and the one before them, which acts last
-        first = g.op("Sub", g.integers(MAX_DELAY), g.op("Reshape", "delay", g.integers(1)), name="first_command")
-        recent = g.op("Slice", sent, first, g.integers(_END), g.integers(0), name="recent")
-        acted = _slice(g, recent, 0, 0, 1)
-        first_waiting = 2 if lag else 1
-        base = g.op("Concat", "x", "dx", g.constant(np.zeros(N_PRODUCTS), "no_product"), axis=0)
-        parts = [base, g.op("Reshape", acted, g.integers(N_ACTION)), g.constant(np.ones(1), "one")]
-        waiting = _slice(g, recent, 0, first_waiting)
-        flat = g.op("Reshape", waiting, g.integers(-1))
-        length = g.op("Shape", flat)
-        shape = g.op("Concat", models, length, g.integers(count), axis=0)
-        self.waiting = g.op("Expand", g.op("Unsqueeze", flat, g.integers(0, 2)), shape, name="waiting_start")
-        self.lengths = g.op("Concat", g.integers(N_ACTION), length, axis=0, name="queue_split")
-        if lag:
-            acting = g.op("Reshape", _slice(g, recent, 0, 1, 2), g.integers(N_ACTION))
-            parts.append(acting)
-            self.acting = columns(acting, N_ACTION)
-        self.linear = columns(g.op("Concat", *parts, axis=0), N_LINEAR if lag else N_CARRIED)
-        self.one = columns(g.constant(np.ones(1), "one"), 1)
+def _widened(g: Builder, matrix: str, rank: int, waiting: str) -> str:
+    """Return a map whose columns go on with zeros for the ``waiting`` (1,) rows behind those that it knows."""
+    pads = g.op("Concat", g.integers(*[0] * (2 * rank - 1)), waiting, axis=0)
+    return g.op("Pad", matrix, pads, name=f"{matrix}.widened")
 
 
 def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.ModelProto:
@@ -153,50 +142,41 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
     now = _slice(g, "reference", 0, 0, -1, name="reference_now")
     following = _slice(g, "reference", 0, 1, name="reference_next")
     seen = observed_reference(g, now, network)
-    start = _Start(g, actors, count, lag)
-    maps = g.op("Concat", step.moves, _per_model(g, step), axis=1, name="step_map") if lag else step.moves
+    start = _start(g, actors, count, lag)
+    delayed = g.op("Mul", g.op("Reshape", "delay", g.integers(1)), g.integers(N_ACTION))
 
     b = Builder(outer=g, prefix="step/")
-    linear, waiting, acting = "step/linear", "step/waiting", "step/acting"
+    linear = "step/linear"
     heights = (*MOVES, N_OBSERVATION + 1) if lag else MOVES
 
-    def moves(of: str) -> list[str]:
+    def moves(maps: str, of: str) -> list[str]:
         names = ["flown", "base", "rates", "arguments", "observed"][: len(heights)]
         return b.ops("Split", b.op("MatMul", maps, of), b.integers(*heights), names=names, axis=1)
 
-    def act(observed: str) -> list[str]:
+    def act(observed: str) -> str:
         s = b.op("Add", observed, "step/seen", name="s")
-        command = actors.act(b, b.op("Transpose", s, perm=[2, 0, 1], name="s_rows"))
-        queue = b.op("Concat", waiting, command, axis=1)
-        return b.ops("Split", queue, start.lengths, names=["acting_next", "waiting_next"], axis=1)
+        return actors.act(b, b.op("Transpose", s, perm=[2, 0, 1], name="s_rows"))
 
     if lag:  # what acts now was sent before: one product gives the move and what the policies see
-        flown, base, rates, arguments, observed = moves(linear)
-        acting_next, waiting_next = act(observed)
-        rows = [base, products(b, rates, arguments), acting, start.one, acting_next]
+        waiting = g.op("Add", delayed, g.integers(N_ACTION * (lag - 1)))
+        maps = _widened(g, g.op("Concat", step.moves, _per_model(g, step), axis=1, name="step_map"), 3, waiting)
+        flown, base, rates, arguments, observed = moves(maps, linear)
+        rows = [base, products(b, rates, arguments), _slice(b, linear, 1, ACTING), act(observed)]
     else:
-        acting_next, waiting_next = act(b.op("MatMul", step.observed, linear))
-        flown, base, rates, arguments = moves(b.op("Concat", linear, acting_next, axis=1))
-        rows = [base, products(b, rates, arguments), acting_next, start.one]
+        command = act(b.op("MatMul", _widened(g, step.observed, 2, delayed), linear))
+        queue = b.op("Concat", linear, command, axis=1)
+        flown, base, rates, arguments = moves(_widened(g, step.moves, 3, delayed), queue)
+        rows = [base, products(b, rates, arguments), _slice(b, queue, 1, ACTING)]
     linear_next = b.op("Concat", *rows, axis=1, name="linear_next")
 
-    height = N_LINEAR if lag else N_CARRIED
-    carried: list[tuple[str, str, str, Shape]] = [
-        (linear, linear_next, start.linear, ("models", height, count)),
-        (waiting, waiting_next, start.waiting, ("models", "queue", count)),
-    ]
-    if lag:
-        carried.append((acting, acting_next, start.acting, ("models", N_ACTION, count)))
+    shape = ("models", "rows", count)
     body = b.body(
         "step",
-        [*(value(name, shape) for name, _, _, shape in carried), value("step/seen", (N_OBSERVATION + 1, 1))],
-        [*(value(name, shape) for _, name, _, shape in carried), value(flown, ("models", N_IDENTIFIED, count))],
+        [value(linear, shape), value("step/seen", (N_OBSERVATION + 1, 1))],
+        [value(linear_next, shape), value(flown, ("models", N_IDENTIFIED, count))],
     )
-    end, *_, before = g.ops(
-        "Scan", *(first for _, _, first, _ in carried), seen, names=[*(f"{n}_end" for n, *_ in carried), "before"],
-        body=body, num_scan_inputs=1,
-    )  # fmt: skip
-    last = g.op("MatMul", step.state, _slice(g, end, 1, 0, N_CARRIED))
+    end, before = g.ops("Scan", start, seen, names=["linear_end", "before"], body=body, num_scan_inputs=1)
+    last = g.op("MatMul", step.state, _slice(g, end, 1, 0, ACTING))
     after = g.op("Concat", _slice(g, before, 0, 1), g.op("Unsqueeze", last, g.integers(0)), axis=0, name="after")
     for name, of in zip(("returns", "unsafe"), _scores(g, before, after, following), strict=True):
         g.result(of, name)

@@ -1,15 +1,15 @@
 """One step of the incremental model (eq. 8.2) as one matrix and a few products, for the imagination's loop.
 
-The loop carries L, (M, 30, A) for M models and A actors, rows in this order:
+The loop carries L, (M, rows, A) for M models and A actors, rows in this order:
 
+    one (1)
     base (20)    what is linear of [x; dx]
     product (6)  products of rates and trigonometry, not yet weighted
     acted (3)    the command that acted in the last step
-    one (1)
+    acting (3)   the one that acts now, and behind it those that wait for their turn, the newest last
 
-and [x; dx] = E L: the weights of the products are in E, so that no node of the loop adds them up. With the command that
-acts now beside it, one product W [L; acting] gives all that a step needs. Angle sums turn products of sines into sums
-of sines, whose arguments are linear too.
+and [x; dx] = E L: the weights of the products are in E, so that no node of the loop adds them up. One product W L gives
+all that a step needs. Angle sums turn products of sines into sums of sines, whose arguments are linear too.
 
 Altitude and heading do not feed back into the rest when kinematics are exact; altitude is integrated after the loop, at
 once for all steps (:func:`altitude`), and heading is nobody's business.
@@ -41,15 +41,15 @@ PRODUCTS: tuple[tuple[STATE, float, STATE, tuple[int, int, int], int], ...] = (
 whether it is divided by cos theta."""
 
 N_PRODUCTS = len(PRODUCTS)
-ACTED = N_BASE + N_PRODUCTS
-ONE = ACTED + N_ACTION
-N_CARRIED = ONE + 1
-"""Rows of L."""
-N_LINEAR = N_CARRIED + N_ACTION
-"""Rows of [L; acting]."""
+ONE = 0
+PRODUCT = 1 + N_BASE
+ACTED = PRODUCT + N_PRODUCTS
+ACTING = ACTED + N_ACTION
+N_LINEAR = ACTING + N_ACTION
+"""Rows of L without what waits."""
 
-MOVES = (N_IDENTIFIED, N_BASE, N_PRODUCTS, 2 * N_PRODUCTS)
-"""Rows of a step: x now, the next base, rates, arguments of the sines (numerators, denominators)."""
+MOVES = (N_IDENTIFIED, PRODUCT, N_PRODUCTS, 2 * N_PRODUCTS)
+"""Rows of a step: x now, the next one and base, rates, arguments of the sines (numerators, denominators)."""
 
 
 def _switched(g: Builder, always: np.ndarray, exact: np.ndarray, name: str) -> str:
@@ -71,20 +71,20 @@ def _products(row: int) -> tuple[np.ndarray, np.ndarray]:
 class Step:
     """The matrices of a step, made before the loop from ``model`` (M, 13, 10) and ``exact_kinematics``.
 
-    ``moves`` (M, 48, 33), of [L; acting]; ``observed`` (8, 30), of L: the scaled observation without its reference, and
-    a row for the one; ``state`` (10, 30), of L: x. ``unit`` (3,) [rad]: what a command of one means.
+    ``moves`` (M, 49, 33), of L; ``observed`` (8, 30): the scaled observation without its reference, and a row for the
+    one; ``state`` (10, 30): x. ``unit`` (3,) [rad]: what a command of one means.
     """
 
     def __init__(self, g: Builder, network: Network, unit: np.ndarray) -> None:
         g.op("Cast", "exact_kinematics", to=onnx.TensorProto.FLOAT, name="exact")
         weights = np.zeros((N_BASE, N_LINEAR))
-        for column, (state, weight, *_) in enumerate(PRODUCTS, start=N_BASE):
+        for column, (state, weight, *_) in enumerate(PRODUCTS, start=PRODUCT):
             weights[[state, N_IDENTIFIED + state], column] = DT * weight
-        of_linear = _switched(g, np.eye(N_BASE, N_LINEAR), weights, "x_and_dx")
+        of_linear = _switched(g, np.eye(N_BASE, N_LINEAR, k=1), weights, "x_and_dx")
 
         # Theta' [dx; da], da the increment of the command that acts
         acting = np.zeros((N_REGRESSORS, N_LINEAR))
-        acting[N_IDENTIFIED:, N_CARRIED:], acting[N_IDENTIFIED:, ACTED:ONE] = np.diag(unit), -np.diag(unit)
+        acting[N_IDENTIFIED:, ACTING:], acting[N_IDENTIFIED:, ACTED:ACTING] = np.diag(unit), -np.diag(unit)
         moved = np.eye(N_REGRESSORS, N_BASE, k=N_IDENTIFIED)
         z = g.op("Add", g.op("MatMul", g.constant(moved, "dx_of"), of_linear), g.constant(acting, "da_of"), name="z")
         increment = g.op("MatMul", g.op("Transpose", "model", perm=[0, 2, 1]), z, name="increment")
@@ -92,9 +92,9 @@ class Step:
         of_x, of_increment, constant = self._maps()
         from_state = g.op("MatMul", _switched(g, *of_x, "of_x"), of_linear)
         from_increment = g.op("MatMul", _switched(g, *of_increment, "of_increment"), increment)
-        total = g.op("Add", g.op("Add", from_state, g.constant(constant, "constants")), from_increment, name="moves")
-        self.moves = total
-        carried = g.op("Slice", of_linear, g.integers(0), g.integers(N_CARRIED), g.integers(1))
+        linear = g.op("Add", from_state, g.constant(constant, "constants"))
+        self.moves = g.op("Add", linear, from_increment, name="moves")
+        carried = g.op("Slice", of_linear, g.integers(0), g.integers(ACTING), g.integers(1))
         self.state = g.op("Slice", carried, g.integers(0), g.integers(N_IDENTIFIED), g.integers(0), name="state")
         self.observed = g.op("MatMul", g.constant(_observed(network)[0], "observed_of_x"), self.state, name="observed")
 
@@ -105,9 +105,10 @@ class Step:
         of_x, of_x_exact = np.zeros((size, N_BASE)), np.zeros((size, N_BASE))
         of_increment, of_increment_exact = np.zeros((size, N_IDENTIFIED)), np.zeros((size, N_IDENTIFIED))
         constant = np.zeros((size, N_LINEAR))
-        now, base, rates, sines = np.split(np.arange(size), np.cumsum(MOVES)[:-1])
+        now, (one, *base), rates, sines = np.split(np.arange(size), np.cumsum(MOVES)[:-1])
+        constant[one, ONE] = 1.0
         x, identity = np.arange(N_IDENTIFIED), np.eye(N_IDENTIFIED)
-        of_x[now[x], x] = of_x[base[x], x] = 1.0
+        of_x[now, x] = of_x[base[:N_IDENTIFIED], x] = 1.0
         # dynamic states take the model's increment; with exact kinematics phi takes DT p from here, the rest is product
         fixed = np.diag([float(state >= STATE.phi) for state in x])
         fixed[STATE.phi, STATE.p] = -0.5 * DT

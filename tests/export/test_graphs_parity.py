@@ -435,9 +435,9 @@ def test_the_loop_holds_few_nodes(make_actors):
         (body,) = (a.g for a in scan.attribute if a.name == "body")
         assert not any(n.op_type in ("Loop", "If", "Scan") for n in body.node)
         nodes[name] = len(body.node)
-    assert nodes["td3-relu"] <= 42
-    assert nodes["thesis"] <= 57
-    assert nodes["thesis-standard"] <= 60
+    assert nodes["td3-relu"] <= 24
+    assert nodes["thesis"] <= 42
+    assert nodes["thesis-standard"] <= 36
 
 
 def test_members_weights_are_stored_once(make_actors):
