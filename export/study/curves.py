@@ -107,6 +107,7 @@ def draw(figure: Figure, runs: Mapping[str, Learnt]) -> None:
         axis.set_xlabel("frames [million]")
         axis.grid(alpha=0.3)
         axis.set_yscale("symlog", linthresh=100.0)
+        axis.set_ylim(top=0.0)
     axes[0].set_ylabel("return of a 20 s flight")
     axes[0].legend(fontsize="x-small", loc="lower right")
 

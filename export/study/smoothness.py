@@ -138,7 +138,7 @@ def draw_spread(figure: Figure, run: Smooth) -> None:
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--short-runs",
-    "short_runs_folder",
+    "shorts",
     type=click.Path(path_type=Path),
     default=RUNS,
     show_default=True,
