@@ -141,7 +141,7 @@ def main(
         write("campaign", found, results)
         write_parquet(records, results / "campaign.parquet", information)
     show(screen, found)
-    screen.print(f"{len(records)} flights: {where / 'campaign.parquet'}\nReport: {where / 'report.md'}")
+    screen.print(f"{len(records)} flights: {parquet or where / 'campaign.parquet'}\nReport: {where / 'report.md'}")
     screen.print("Figures: " + ", ".join(str(path) for path in pictures))
 
 

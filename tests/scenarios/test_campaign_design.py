@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from scenarios.campaign.__main__ import QUICK, chosen_cells
 from scenarios.campaign.design import DURATION, EARLIEST, FACTORS, LATEST, cells, reference_rows
 from scenarios.campaign.suites import HALVES, SUITES, load_suite
 from sim_bridge.conditions import R1
@@ -73,6 +74,18 @@ def test_times_of_faults_count_from_their_moment_and_a_case_may_fix_its_conditio
     assert {c.flight.condition for c in FLIGHTS["easy", "tuning"] if c.fault.startswith("R1")} == {R1}
     noisy = [c.flight.sensors.noise["q"] for c in FLIGHTS["easy", "tuning"] if c.sensors == "twice the noise"]
     assert noisy[0] == pytest.approx(2.0 * 6.3e-4, rel=0.01)
+
+
+def test_a_word_picks_a_fault_a_group_or_what_contains_it():
+    quick = chosen_cells(SUITES, QUICK, "tuning", 2)
+    assert [c.name for c in quick[:2]] == ["none/000", "none/001"]
+    assert {c.fault for c in quick} == set(QUICK)
+    assert len(quick) == 2 * len(QUICK)
+    assert {c.group for c in chosen_cells(SUITES, ("latency",), "tuning", 1)} == {"latency"}
+    assert len(chosen_cells(SUITES, ("crossed",), "tuning", 1)) == 1
+    assert len(chosen_cells(SUITES, ("elevator x -2", "hardov"), "tuning", 1)) == 4
+    with pytest.raises(UserError, match="--fault flap: no such fault; give a part of a name, or a group: none, pub"):
+        chosen_cells(SUITES, ("flap",), "tuning", 1)
 
 
 def test_a_wrong_suite_is_answered_with_file_and_fault(tmp_path):
