@@ -248,7 +248,7 @@ class IncrementalModel:
         delay = 0
         if self.effectiveness is not None:
             self.effectiveness.impose(x, dx, model)
-            delay = min(getattr(self.effectiveness, "delay_samples", 0), self.max_delay)
+            delay = min(self.effectiveness.delay_samples, self.max_delay)
         return Identified(x, dx, self._history.latest(), delay, model, self.exact_kinematics)
 
 

@@ -16,6 +16,7 @@ from runtime.hypotheses import Evidence, Inputs, hypotheses
 from runtime.rate_filter import LAMBDA, B, N, RateFilters, W
 from runtime.unrest import Unrest
 from task.limits import DT
+from task.model import with_effectiveness
 from task.rates import RATES, RateModel, washout
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
@@ -198,7 +199,7 @@ class Effectiveness:
         crossed one has another's row. The rates and their increments, which start the imagined flight, come from the
         filter: raw differences of noisy gyros would be accelerations that are not there.
         """
-        model[N_IDENTIFIED:] = self.mixing.T @ model[N_IDENTIFIED:]
+        model[:] = with_effectiveness(model, self.mixing)
         if self.known:
             x[W], dx[W] = self.rates, self.increment
 

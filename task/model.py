@@ -57,6 +57,19 @@ def predict_increment(
     return nxt
 
 
+def with_effectiveness(theta: np.ndarray, effectiveness: np.ndarray) -> np.ndarray:
+    """Return the model (..., 13, 10) of an aircraft whose surfaces deflect by Lambda times the command.
+
+    theta: (..., 13, 10), of healthy surfaces; effectiveness: Lambda (..., 3, 3), row: the surface that moves, column:
+    the command that moves it. Signed, weak and dead surfaces are its diagonal, crossed ones lie beside it. From
+    dx = F' dx + G' (Lambda da) follows G <- Lambda' G.
+    """
+    changed = np.broadcast_to(theta, np.broadcast_shapes(theta.shape[:-2], effectiveness.shape[:-2]) + theta.shape[-2:])
+    changed = changed.copy()
+    changed[..., N_IDENTIFIED:, :] = np.matmul(np.swapaxes(effectiveness, -1, -2), changed[..., N_IDENTIFIED:, :])
+    return changed
+
+
 def embed_reduced(theta_reduced: np.ndarray) -> np.ndarray:
     """Return the (13, 10) matrix of a reduced model (11, 6); unused rows and columns are zero."""
     full = np.zeros((N_REGRESSORS, N_IDENTIFIED), dtype=theta_reduced.dtype)

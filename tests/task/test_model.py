@@ -8,8 +8,9 @@ from task.model import (
     embed_reduced,
     kinematic_rates,
     predict_increment,
+    with_effectiveness,
 )
-from task.state import N_ACTION, N_IDENTIFIED, STATE
+from task.state import ACTION, N_ACTION, N_IDENTIFIED, STATE
 
 
 def rotation_ned_from_body(phi: float, theta: float, psi: float) -> np.ndarray:
@@ -62,3 +63,35 @@ def test_reduced_model_uses_its_regressors_alone() -> None:
     far[[STATE.psi, STATE.h]] += 100.0
     assert np.array_equal(predict_increment(x, far, da, Theta, True), nxt)
     assert nxt[STATE.theta] == pytest.approx(0.01 * kinematic_rates(x)[1], abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    "effectiveness",
+    [
+        np.diag([-1.0, 0.3, 0.0]),
+        np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),  # aileron and rudder crossed
+        np.array([[0.5, 0.1, 0.0], [0.0, 0.0, -2.0], [0.0, 0.7, 0.0]]),
+    ],
+    ids=["signed", "crossed", "mixed"],
+)
+def test_effectiveness_is_what_the_surfaces_make_of_the_command(effectiveness: np.ndarray) -> None:
+    rng = np.random.default_rng(4)
+    Theta = rng.normal(size=(N_REGRESSORS, N_IDENTIFIED))
+    x, dx, da = rng.normal(size=10), rng.normal(size=10), rng.normal(size=N_ACTION)
+    before = Theta.copy()
+    faulty = with_effectiveness(Theta, effectiveness)
+    expected = predict_increment(x, dx, effectiveness @ da, Theta, False)
+    assert predict_increment(x, dx, da, faulty, False) == pytest.approx(expected)
+    assert np.array_equal(Theta, before)
+    assert np.array_equal(faulty[:N_IDENTIFIED], Theta[:N_IDENTIFIED])
+
+
+def test_several_aircraft_at_once() -> None:
+    Theta = np.random.default_rng(5).normal(size=(N_REGRESSORS, N_IDENTIFIED))
+    several = np.stack([np.diag([scale, 1.0, 1.0]) for scale in (1.0, -1.0)])
+    models = with_effectiveness(Theta, several)
+    assert models.shape == (2, N_REGRESSORS, N_IDENTIFIED)
+    assert np.array_equal(models[0], Theta)
+    assert np.array_equal(models[1, N_IDENTIFIED + ACTION.de], -Theta[N_IDENTIFIED + ACTION.de])
+    with pytest.raises(ValueError, match="broadcast"):
+        with_effectiveness(np.stack([Theta] * 3), several)
