@@ -38,29 +38,26 @@ def picture(campaign: Campaign, suite: str) -> Figure:
             alive[i, j] = survival(flights)
             both = [k for k, r in flights.items() if r.survived and k in oracle and oracle[k].survived]
             ratio[i, j] = median([flights[k].nmae / oracle[k].nmae for k in both])
+    maps = [(alive, alive, "survivors %", "RdYlBu", SURVIVAL_SCALE, "{:.0f}")]
+    if np.isfinite(ratio).any():
+        scale = (-math.log2(LARGEST_RATIO), math.log2(LARGEST_RATIO))
+        title = "median nMAE over the oracle's"
+        maps.append((np.log2(ratio), ratio, title, "RdYlBu_r", scale, "{:.2g}"))
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
-        figure = Figure(figsize=(4.0 + 0.86 * len(rows), 1.5 + 0.2 * len(faults)), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        _map(left, alive, "survivors %", "RdYlBu", *SURVIVAL_SCALE, "{:.0f}")
-        _map(right, np.log2(ratio), "nMAE over the oracle's, median of survivors", "RdYlBu_r",
-             -math.log2(LARGEST_RATIO), math.log2(LARGEST_RATIO), "{:.2g}", ratio)  # fmt: skip
-        left.set_yticks(range(len(faults)), faults)
-        for ax in (left, right):
+        across = max(0.42 * len(rows), 2.4)
+        figure = Figure(figsize=(3.2 + across * len(maps), 1.2 + 0.2 * len(faults)), layout="constrained")
+        axes = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+        for ax, (values, shown, title, colours, scale, form) in zip(axes, maps, strict=True):
+            ax.imshow(values, cmap=colours, vmin=scale[0], vmax=scale[1], aspect="auto", alpha=0.75)
+            ax.set_title(title)
+            for (i, j), value in np.ndenumerate(shown):
+                if np.isfinite(value):
+                    ax.text(j, i, form.format(value), ha="center", va="center", fontsize=6.5, color=INK)
+        axes[0].set_yticks(range(len(faults)), faults)
+        for ax in axes:
             ax.set_xticks(range(len(rows)), rows, rotation=45, ha="right", rotation_mode="anchor")
             ax.grid(False)
             ax.tick_params(length=0)
             for spine in ax.spines.values():
                 spine.set_visible(False)
     return figure
-
-
-def _map(
-    ax: mpl.axes.Axes, values: np.ndarray, title: str, colours: str, low: float, high: float, form: str,
-    shown: np.ndarray | None = None,
-) -> None:  # fmt: skip
-    """Draw one map with its numbers; what is not known stays white."""
-    ax.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", alpha=0.75)
-    ax.set_title(title)
-    for (i, j), value in np.ndenumerate(values if shown is None else shown):
-        if np.isfinite(value):
-            ax.text(j, i, form.format(value), ha="center", va="center", fontsize=6.5, color=INK)
