@@ -16,7 +16,7 @@ from export.study.cases import CASES, Case, CaseFleet, choose
 from export.study.pictures import picture
 from export.study.show import flights_progress, show
 from export.study.tables71 import claims, draw, jammed_rudder, nmae_table, safety_table, significance_table, td3_table
-from export.training.evaluate import Scores
+from export.training.evaluate import DURATION, Scores
 from task import results
 from task.errors import UserError
 
@@ -166,14 +166,22 @@ def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, f
 @click.option("--cases", default=",".join(c.name for c in CASES), show_default=True)
 @click.option("--references", type=click.IntRange(1), default=10, show_default=True, help=f"Of each of seeds {SEEDS}.")
 @click.option("--population-references", type=click.IntRange(1), default=3, show_default=True, help="In all.")
+@click.option("--duration", type=click.FloatRange(1.0), default=DURATION, show_default=True, help="Of a flight [s].")
 @click.option("--name", default="table71", show_default=True, help="Of the files in results/ and docs/img/.")
 def table71(
-    run: Path, td3_runs: tuple[Path, ...], cases: str, references: int, population_references: int, name: str
+    run: Path,
+    td3_runs: tuple[Path, ...],
+    cases: str,
+    references: int,
+    population_references: int,
+    duration: float,
+    name: str,
 ) -> None:
     """Fly the population in RUN through the ten cases. A stopped command goes on where it was."""
     began = time.perf_counter()
     chosen = choose(cases)
-    trials, few = Trials(references), Trials(references, first=population_references)
+    trials = Trials(references, duration)
+    few = trials._replace(first=population_references)
     if few.total < population_references:
         raise UserError(f"--population-references: expected at most {trials.total}, {references} of each seed")
     contest = Contest(run, load_run(run), {str(path): load_run(path) for path in td3_runs})
@@ -191,6 +199,8 @@ def table71(
     ]
     arguments = "".join(f" --td3 {path}" for path in td3_runs) + f" --references {references}"
     arguments += f" --population-references {population_references} --name {name}"
+    if duration != DURATION:
+        arguments += f" --duration {duration:g}"
     if len(chosen) < len(CASES):
         arguments += f" --cases {','.join(case.name for case in chosen)}"
     results.write(
