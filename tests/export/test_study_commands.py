@@ -55,6 +55,7 @@ def quick(monkeypatch):
         return msgspec.structs.replace(config, frames=1500, actor=actor, genetic=genetic, task=task)
 
     monkeypatch.setattr("export.study.short_runs.varied", varied)
+    monkeypatch.setattr("export.study.short_runs.SEEDS", (1,))
     monkeypatch.setattr("export.study.generation.DURATION", 2.0)
     monkeypatch.setattr(
         "export.training.run.evaluation_references", lambda *arguments: evaluation_references(*arguments, duration=2.0)
