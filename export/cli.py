@@ -12,6 +12,7 @@ from export.population import TRAINING_RECORDS, load_run
 from export.prior import PriorSettings, model_prior
 from export.rates import RateSettings, rate_model
 from export.screening import ScreeningSettings, annotated, flights, screen
+from export.study.campaign import STORE
 from export.study.show import flights_progress
 from task.config import load_toml
 
@@ -67,7 +68,7 @@ def export(
     screening = None
     if not no_screening:
         with flights_progress(flights(trained, screened), "screening flights") as progress:
-            screening = screen(trained, screened, progress)
+            screening = screen(trained, screened, run / STORE, progress)
         trained = annotated(trained, screening)
         click.echo(f"champion {trained.description.champion}: {screening.verdict(trained.champion)}")
     click.echo("graphs, golden samples, model card, hashes")

@@ -7,6 +7,7 @@ said, in the manifest and in the model card.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -14,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from export.population import Member, Population
-from export.study.campaign import SEEDS, Trials, fly
+from export.study.campaign import ABREAST, SEEDS, Trials, fly_once, join
 from export.study.cases import CASES, NOMINAL_CASE, CaseFleet
 from export.training.evaluate import Scores, attitude_nmae
 from task.config import Settings
@@ -25,8 +26,8 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 class ScreeningSettings(Settings, frozen=True):
     """What is flown, and what a member may do."""
 
-    references: Annotated[int, Meta(ge=1)] = 2
-    """Evaluation references of each case."""
+    references: Annotated[int, Meta(ge=1)] = 1
+    """Evaluation references of each case; one is a glance, for a verdict to rely on give more."""
     duration: Annotated[float, Meta(ge=1.0, le=600.0)] = 30.0
     """Length of a flight [s]; the gust of R3 lasts from 20 to 23 s."""
     unsafe: Fraction = 0.01
@@ -101,10 +102,22 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def screen(population: Population, settings: ScreeningSettings, progress: Callable[[int], None]) -> Screening:
-    """Fly every member in every case; ``progress`` is told how many flights have ended."""
+def screen(
+    population: Population, settings: ScreeningSettings, store: Path, progress: Callable[[int], None]
+) -> Screening:
+    """Fly every member in every case; ``progress`` is told how many flights have ended.
+
+    Flights are kept in ``store``: a screening that was stopped goes on where it was.
+    """
     fleet, parameters = CaseFleet(), population.parameters
-    scores = {case.name: fly(fleet, case, population.network, parameters, settings.trials, progress) for case in CASES}
+    blocks = [parameters[i : i + ABREAST] for i in range(0, len(parameters), ABREAST)]
+    scores = {
+        case.name: join(
+            [fly_once(store, fleet, case, population.network, block, settings.trials, progress) for block in blocks],
+            axis=0,
+        )
+        for case in CASES
+    }
     return Screening(settings, scores)
 
 

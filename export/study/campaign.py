@@ -19,6 +19,8 @@ from task.reference import FamilyName
 
 ABREAST = 14
 """Aircraft that fly side by side: more of them no longer share a core's cache and each step takes longer."""
+STORE = "study"
+"""Folder within a run where its flights are kept."""
 SEEDS = (71, 72, 73)
 """Of the references; neither training nor the choice of a champion draws from them."""
 

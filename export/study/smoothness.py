@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from export.population import Population, load_run
 from export.study import short_runs
-from export.study.campaign import SEEDS, Progress, Trials, fly_once, join
+from export.study.campaign import SEEDS, STORE, Progress, Trials, fly_once, join
 from export.study.cases import CASES, CaseFleet
 from export.study.pictures import picture
 from export.study.short import RUNS, counted, train
 from export.study.show import flights_progress, show
-from export.study.table71 import BLOCK, STORE
+from export.study.table71 import BLOCK
 from export.study.thesis import RETURN_CHAMPION, RETURN_TD3, SM_SERL50, SM_TD3
 from export.training.evaluate import Scores
 from task import results

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from export.population import Population, load_run
-from export.study.campaign import SEEDS, Progress, Trials, fly_once, join
+from export.study.campaign import SEEDS, STORE, Progress, Trials, fly_once, join
 from export.study.cases import CASES, Case, CaseFleet, choose
 from export.study.pictures import picture
 from export.study.show import flights_progress, show
@@ -20,8 +20,6 @@ from export.training.evaluate import DURATION, Scores
 from task import results
 from task.errors import UserError
 
-STORE = "study"
-"""Folder within a run where flights are kept."""
 BLOCK = 5
 """Members whose flights are kept together."""
 TD3 = "td3"

@@ -36,10 +36,12 @@ def cast() -> Population:
 
 
 @pytest.fixture(scope="module")
-def seen() -> Screening:
+def seen(tmp_path_factory) -> Screening:
+    store = tmp_path_factory.mktemp("run") / "study"
     done: list[int] = []
-    screening = screen(cast(), QUICK, done.append)
+    screening = screen(cast(), QUICK, store, done.append)
     assert sum(done) == flights(cast(), QUICK) == 3 * len(CASES)
+    assert len(list(store.iterdir())) == len(CASES)
     return screening
 
 
