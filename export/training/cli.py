@@ -98,6 +98,13 @@ def _show_returns(console: Console, config: TrainingConfig, returns: np.ndarray,
 @click.option("--resume/--fresh", default=True, show_default=True, help="Continue a checkpoint in --out, or overwrite.")
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads of the tensor library.")
 @click.option(
+    "--workers",
+    type=click.IntRange(0, 1),
+    default=1,
+    show_default=True,
+    help="Processes that fly while this one learns, where the configuration lets them overlap; changes no result.",
+)
+@click.option(
     "--device", default="cpu", show_default=True, help="Where to learn: cpu or cuda; flights stay on the CPU."
 )
 def train(
@@ -107,6 +114,7 @@ def train(
     frames: int | None,
     resume: bool,
     threads: int,
+    workers: int,
     device: str,
 ) -> None:
     """Train a population with SERL. CONFIG: a name in export/training/configs (serl10, ...), or a path to a TOML file.
@@ -120,7 +128,7 @@ def train(
     torch.set_num_threads(threads)
     console = Console(soft_wrap=True)
     rollouts = gymnasium_run.Watched(settings.environment) if settings.environment else None
-    trainer = start(settings, folder, _device(device), resume, rollouts)
+    trainer = start(settings, folder, _device(device), resume, rollouts, workers)
     if trainer.curve:
         console.print(f"resumed at generation {trainer.curve[-1].generation}, frame {trainer.frames:,}")
     progress, stop = _Progress(settings, console, trainer.frames), _Interrupt()

@@ -63,6 +63,9 @@ class TD3Settings(Settings, frozen=True):
     """Largest gradient norm, of the actor and of each twin critic's pair."""
     buffer: Count = 800_000
     """Transitions in the shared memory D."""
+    exploring_flights: Annotated[int, Meta(ge=0)] = 0
+    """Further flights of the TD3 actor in each generation, with noise, on tasks of their own: they enter the shared
+    memory and count as frames. A learner whose own flights are few learns to act where it never goes."""
     learning_starts: int = 10_000
     """Frames gathered before the first update."""
     updates_per_frame: NonNegative = 1.0
@@ -90,11 +93,16 @@ class GeneticSettings(Settings, frozen=True):
     """Flights of each actor per generation; their mean return is the fitness (eq. 4)."""
     stored_evaluations: Count = 1
     """The last so many of them enter the memories and count as frames, as in the published runs."""
+    stored_share: Fraction = 1.0
+    """Share of the genetic actors, drawn anew each generation, whose stored flights enter the shared memory and
+    count as frames; the TD3 actor's always do, and every actor remembers its own states."""
     elite_fraction: Fraction = 0.2
     tournament: Count = 3
     mutation: Literal["safe", "proximal", "gaussian"] = "safe"
     mutation_magnitude: NonNegative = 2.47e-2
     """sigma_mut of eqs 5 and 8."""
+    mutation_end: Fraction = 1.0
+    """Share of ``mutation_magnitude`` that is left when the configured frames are reached; it falls linearly."""
     mutation_probability: Fraction = 0.9
     mutation_batch: Count = 86
     """States over which the sensitivity is summed (eq. 8)."""
@@ -162,6 +170,9 @@ class TrainingConfig(Settings, frozen=True):
     task: TaskSettings = TaskSettings()
     environment: EnvironmentSettings | None = None
     """Trained on in the place of the Citation's ``task``."""
+    overlap: bool = False
+    """Let the next generation fly while TD3 learns from this one: the TD3 actor that flies, and is injected, is then
+    one generation late. Where it flies (``--workers``) changes nothing; without it nobody flies while TD3 learns."""
     validation_references: Count = 5
     """Evaluation references (80 s) by which the champion is picked when the run ends."""
     checkpoint_seconds: NonNegative = 60.0

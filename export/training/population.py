@@ -44,16 +44,25 @@ class Population:
             self.critical.add(p, states[torch.from_numpy(flights.unsafe[:n, p, e])])
 
     def evolve(
-        self, fitness: np.ndarray, synchronising: bool, q: Critic, rng: np.random.Generator, generator: torch.Generator
+        self,
+        fitness: np.ndarray,
+        synchronising: bool,
+        q: Critic,
+        rng: np.random.Generator,
+        generator: torch.Generator,
+        magnitude: float | None = None,
     ) -> int | None:
-        """Breed the next generation from ``fitness`` (N,); return the slot kept for the TD3 actor, if any."""
+        """Breed the next generation from ``fitness`` (N,); return the slot kept for the TD3 actor, if any.
+
+        magnitude: sigma_mut of this generation, the settings' when not given.
+        """
         s = self.settings
         reserved = least_fit(fitness, s.elite_fraction) if synchronising else None
         plan = plan_generation(fitness, s.elite_fraction, s.tournament, s.mutation_probability, reserved, rng)
         for source, slot in plan.clones:
             self._copy(source, slot)
         self._cross(plan, fitness, q, rng, generator)
-        self.mutate_slots(plan.mutants, generator)
+        self.mutate_slots(plan.mutants, generator, magnitude)
         return reserved
 
     def inject(self, slot: int, parameters: Tensor) -> None:
@@ -108,8 +117,11 @@ class Population:
                 memory.clear(slot)
             self.memory.add(slot, states)
 
-    def mutate_slots(self, slots: list[int], generator: torch.Generator) -> None:
-        """Disturb the actors in ``slots`` with the operator of the settings (eq. 5 or 8)."""
+    def mutate_slots(self, slots: list[int], generator: torch.Generator, magnitude: float | None = None) -> None:
+        """Disturb the actors in ``slots`` with the operator of the settings (eq. 5 or 8) and ``magnitude``.
+
+        magnitude: sigma_mut, the settings' when not given.
+        """
         s = self.settings
         if not slots:
             return
@@ -123,7 +135,12 @@ class Population:
                 states = torch.where(enough.to(states.device)[:, None, None], critical, states)
             scaling = sensitivity(self.network, self.parameters[slots], states)
         self.parameters[slots] = mutate(
-            self.parameters[slots], s.mutation_magnitude, scaling, self.mask, s.sensitivity_floor, generator
+            self.parameters[slots],
+            s.mutation_magnitude if magnitude is None else magnitude,
+            scaling,
+            self.mask,
+            s.sensitivity_floor,
+            generator,
         )
 
     def state(self) -> dict[str, Tensor]:

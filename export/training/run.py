@@ -31,7 +31,12 @@ VALIDATION_STREAM = 1_000_003
 
 
 def start(
-    config: TrainingConfig, folder: Path, device: torch.device, resume: bool, rollouts: Rollouts | None = None
+    config: TrainingConfig,
+    folder: Path,
+    device: torch.device,
+    resume: bool,
+    rollouts: Rollouts | None = None,
+    workers: int = 0,
 ) -> Trainer:
     """Make the folder and return a trainer: the checkpoint's when there is one and ``resume``, or a new one.
 
@@ -44,7 +49,8 @@ def start(
         raise UserError(f"{folder}: cannot make the run's folder: {error.strerror}; choose another --out") from None
     checkpoint = folder / CHECKPOINT
     found = resume and checkpoint.exists()
-    trainer = Trainer.resume(checkpoint, config, device, rollouts) if found else Trainer(config, device, rollouts)
+    world = config, device, rollouts, workers
+    trainer = Trainer.resume(checkpoint, *world) if found else Trainer(*world)
     with atomic(folder / CONFIG) as file:
         file.write(as_toml(config).encode())
     return trainer

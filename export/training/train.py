@@ -20,15 +20,24 @@ from export.training.networks import actor_network
 from export.training.population import Population
 from export.training.rollouts import CitationRollouts, Rollouts
 from export.training.td3 import TD3
+from export.training.worker import FlightWorker, Order
 
 CHECKPOINT = "checkpoint.npz"
+ORDERED = Order._fields[1:]
+"""What a checkpoint keeps of flights under way: they are flown again."""
 
 
 class Trainer:
     """Everything that learns, and the streams of chance that it draws from."""
 
-    def __init__(self, config: TrainingConfig, device: torch.device, rollouts: Rollouts | None = None) -> None:
-        """Start a run from its configuration and seed alone, in the Citation's world unless given another."""
+    def __init__(
+        self, config: TrainingConfig, device: torch.device, rollouts: Rollouts | None = None, workers: int = 0
+    ) -> None:
+        """Start a run from its configuration and seed alone, in the Citation's world unless given another.
+
+        With ``workers`` another process flies the Citation while this one learns, where the configuration lets
+        flights overlap; the result is the same.
+        """
         self.config = config
         self.rollouts = rollouts or CitationRollouts(config.task, config.td3.discount_penalty)
         self.network = actor_network(config.actor, self.rollouts.observation, self.rollouts.action_scale)
@@ -40,6 +49,9 @@ class Trainer:
         self.rng = np.random.default_rng(config.seed)
         self.generator = torch.Generator(device).manual_seed(config.seed)
         self.curve: list[Row] = []
+        self._ordered: list[Order] | None = None
+        apart = workers > 0 and config.overlap and rollouts is None
+        self._worker = FlightWorker(config.task, config.td3.discount_penalty) if apart else None
 
     @property
     def frames(self) -> int:
@@ -51,29 +63,60 @@ class Trainer:
         return torch.cat([self.population.parameters, self.learner.actor.parameters()]).cpu().numpy()
 
     def generation(self) -> Row:
-        """Fly everyone, breed, learn, inject: one generation of thesis figure 2."""
+        """Fly everyone, breed, learn, inject: one generation of thesis figure 2.
+
+        With ``overlap`` the TD3 actor is injected before it learns, and the next generation is already flying.
+        """
         began = time.perf_counter()
-        flights = self._fly()
-        frames = self._remember(flights)
+        flights, *explored = self._fly()
         flown = time.perf_counter()
+        frames = self._remember(flights) + sum(self._share(more, 0, more.length.shape[1]) for more in explored)
         fitness = self._fitness(flights)
         slot = self._evolve(fitness[:-1])
+        if self.config.overlap:
+            self._inject(slot)
+            self._depart(self._order())
         bred = time.perf_counter()
         losses = self._learn(frames)
-        if slot is not None:
-            self.population.inject(slot, self.learner.actor.parameters())
+        if not self.config.overlap:
+            self._inject(slot)
         times = (flown - began, bred - flown, time.perf_counter() - bred)
-        self.curve.append(self._row(flights, frames, fitness, losses, times))
+        simulated = sum(int(each.length.sum()) for each in (flights, *explored))
+        self.curve.append(self._row(flights, (frames, simulated), fitness, losses, times))
         return self.curve[-1]
 
-    def _fly(self) -> Flights:
-        """Fly every policy on tasks common to all; the TD3 actor explores where transitions are stored."""
-        genetic, td3 = self.config.genetic, self.config.td3
-        tasks = self.rollouts.draw(self.rng, genetic.evaluations)
-        noise = np.zeros((self.rollouts.ticks, genetic.evaluations, self.network.action), dtype=np.float32)
-        explored = noise[:, -genetic.stored_evaluations :]
-        explored[:] = np.clip(td3.sigma * self.rng.standard_normal(explored.shape), -td3.noise_clip, td3.noise_clip)
-        return self.rollouts.fly(self.network, self.members(), tasks, noise)
+    def _order(self) -> list[Order]:
+        """Draw the next flights: tasks common to all; the TD3 actor explores where transitions are stored."""
+        genetic, members = self.config.genetic, self.members()
+        order = Order(self.network, members, *self._tasks(genetic.evaluations, genetic.stored_evaluations))
+        more = self.config.td3.exploring_flights
+        return [order, *([Order(self.network, members[-1:], *self._tasks(more, more))] if more else [])]
+
+    def _tasks(self, count: int, explored: int) -> tuple[np.ndarray, np.ndarray]:
+        """Draw ``count`` tasks and the noise of the TD3 actor in the last ``explored`` of them."""
+        td3 = self.config.td3
+        tasks = self.rollouts.draw(self.rng, count)
+        noise = np.zeros((self.rollouts.ticks, count, self.network.action), dtype=np.float32)
+        part = noise[:, count - explored :]
+        part[:] = np.clip(td3.sigma * self.rng.standard_normal(part.shape), -td3.noise_clip, td3.noise_clip)
+        return tasks, noise
+
+    def _depart(self, orders: list[Order]) -> None:
+        """Let the next generation take off, in the worker where there is one."""
+        self._ordered = orders
+        if self._worker is not None:
+            self._worker.start(orders)
+
+    def _fly(self) -> list[Flights]:
+        """Return the flights under way, or new ones: those of everyone, then the TD3 actor's further ones."""
+        orders, self._ordered = self._ordered, None
+        if orders is not None and self._worker is not None:
+            return self._worker.result()
+        return [self.rollouts.fly(*order) for order in orders or self._order()]
+
+    def _inject(self, slot: int | None) -> None:
+        if slot is not None:
+            self.population.inject(slot, self.learner.actor.parameters())
 
     def _fitness(self, flights: Flights) -> np.ndarray:
         """Return each policy's mean return (eq. 4), with Sm (eq. 16) where asked; shape (N + 1,).
@@ -93,11 +136,13 @@ class Trainer:
         """Store the last flights of everyone in the shared and the own memories; return how many frames."""
         stored = self.config.genetic.stored_evaluations
         self.population.remember(flights, stored, self.input_scale)
+        return sum(self._share(flights, int(p), stored) for p in self._shared(len(flights.length) - 1))
+
+    def _share(self, flights: Flights, p: int, stored: int) -> int:
+        """Store the last ``stored`` flights of actor ``p`` in the shared memory; return how many frames."""
         learnt = self.rollouts.learnt_reward(flights, self.config.td3.gamma)
         frames = 0
-        for p, e in np.ndindex(flights.length.shape):
-            if e < flights.length.shape[1] - stored:
-                continue
+        for e in range(flights.length.shape[1] - stored, flights.length.shape[1]):
             n = int(flights.length[p, e])
             s = flights.observation[: n + 1, p, e] * self.input_scale
             continues = np.ones((n, 1), dtype=np.float32)
@@ -108,12 +153,22 @@ class Trainer:
             frames += n
         return frames
 
+    def _shared(self, actors: int) -> list[int]:
+        """Return whose flights enter the shared memory: the TD3 actor's and a share of the genetic actors'."""
+        share = self.config.genetic.stored_share
+        if share == 1.0:
+            return list(range(actors + 1))
+        return [*sorted(self.rng.permutation(actors)[: round(share * actors)].tolist()), actors]
+
     def _evolve(self, fitness: np.ndarray) -> int | None:
         """Breed the genetic actors; return the slot that the TD3 actor is to take in this generation."""
         if not len(fitness):
             return None
-        synchronising = (len(self.curve) + 1) % self.config.genetic.synchronisation == 0
-        return self.population.evolve(fitness, synchronising, self.learner.q, self.rng, self.generator)
+        genetic = self.config.genetic
+        synchronising = (len(self.curve) + 1) % genetic.synchronisation == 0
+        progress = min(self.frames / self.config.frames, 1.0)
+        magnitude = genetic.mutation_magnitude * (1.0 + (genetic.mutation_end - 1.0) * progress)
+        return self.population.evolve(fitness, synchronising, self.learner.q, self.rng, self.generator, magnitude)
 
     def _learn(self, frames: int) -> dict[str, float]:
         """Let TD3 take its updates for the frames gathered, once there are enough to learn from."""
@@ -124,7 +179,7 @@ class Trainer:
     def _row(
         self,
         flights: Flights,
-        frames: int,
+        frames: tuple[int, int],
         fitness: np.ndarray,
         losses: dict[str, float],
         seconds: tuple[float, float, float],
@@ -135,8 +190,8 @@ class Trainer:
         smooth = flights.smoothness(np.array(self.network.action_scale)).mean(axis=1)
         return Row(
             generation=len(self.curve) + 1,
-            frames=self.frames + frames,
-            simulated=(before.simulated if before else 0) + int(flights.length.sum()),
+            frames=self.frames + frames[0],
+            simulated=(before.simulated if before else 0) + frames[1],
             updates=self.learner.updates,
             champion=float(genetic[best]),
             average=float(genetic.mean()),
@@ -164,22 +219,39 @@ class Trainer:
             "curve": msgspec.to_builtins(self.curve),
             "rng": checkpoint.stream_state(self.rng),
         }
+        for i, (_, *arrays) in enumerate(self._ordered or []):
+            tensors |= {f"ordered{i}.{k}": torch.from_numpy(v) for k, v in zip(ORDERED, arrays, strict=True)}
         checkpoint.save(path, tensors, meta)
+
+    def close(self) -> None:
+        """End the process that flies, if there is one."""
+        if self._worker is not None:
+            self._worker.close()
 
     @classmethod
     def resume(
-        cls, path: Path, config: TrainingConfig, device: torch.device, rollouts: Rollouts | None = None
+        cls,
+        path: Path,
+        config: TrainingConfig,
+        device: torch.device,
+        rollouts: Rollouts | None = None,
+        workers: int = 0,
     ) -> Trainer:
         """Continue a run; raise UserError when the checkpoint is of another configuration."""
         tensors, meta = checkpoint.load(path)
         checkpoint.require_same(path, meta["config"], config)
-        trainer = cls(config, device, rollouts)
+        trainer = cls(config, device, rollouts, workers)
         trainer.population.restore(checkpoint.part(tensors, "population"))
         trainer.learner.restore(checkpoint.part(tensors, "learner"))
         trainer.replay.restore(checkpoint.part(tensors, "replay"))
         trainer.generator.set_state(tensors["generator"])
         checkpoint.restore_stream(trainer.rng, meta["rng"])
         trainer.curve = msgspec.convert(meta["curve"], list[Row])
+        orders: list[Order] = []
+        while ordered := checkpoint.part(tensors, f"ordered{len(orders)}"):
+            orders.append(Order(trainer.network, *(ordered[name].numpy() for name in ORDERED)))
+        if orders:
+            trainer._depart(orders)
         return trainer
 
 

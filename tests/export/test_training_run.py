@@ -218,6 +218,84 @@ def trainer(**genetic: object) -> Trainer:
     return Trainer(msgspec.structs.replace(config, genetic=settings), CPU)
 
 
+def overlapping() -> TrainingConfig:
+    config = msgspec.convert(tomllib.loads(TINY), TrainingConfig)
+    return msgspec.structs.replace(
+        config,
+        overlap=True,
+        td3=msgspec.structs.replace(config.td3, exploring_flights=2),
+        genetic=msgspec.structs.replace(config.genetic, stored_share=0.5, mutation_end=0.2),
+    )
+
+
+def test_flights_in_a_worker_change_nothing(tmp_path: Path) -> None:
+    ends = []
+    for workers in (0, 1):
+        t = Trainer(overlapping(), CPU, workers=workers)
+        for _ in range(4):
+            t.generation()
+        ends.append((t.members(), t.replay.rows.clone()))
+        t.close()
+    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    torch.testing.assert_close(ends[0][1], ends[1][1], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_resumed_while_a_generation_flies_equals_uninterrupted(workers: int, tmp_path: Path) -> None:
+    whole = Trainer(overlapping(), CPU)
+    broken = Trainer(overlapping(), CPU, workers=workers)
+    for _ in range(2):
+        broken.generation()
+    broken.save(tmp_path / "c.npz")
+    broken.generation()  # lost
+    broken.close()
+    resumed = Trainer.resume(tmp_path / "c.npz", overlapping(), CPU, workers=workers)
+    for _ in range(2):
+        resumed.generation()
+    for _ in range(4):
+        whole.generation()
+    np.testing.assert_array_equal(resumed.members(), whole.members())
+    resumed.close()
+
+
+def test_with_overlap_the_td3_actor_flies_one_generation_late() -> None:
+    t = Trainer(overlapping(), CPU)
+    t.generation()
+    t.generation()
+    before = t.learner.actor.parameters().numpy()
+    t.generation()
+    assert t._ordered is not None
+    np.testing.assert_array_equal(t._ordered[0].parameters[-1:], before)
+    assert not np.array_equal(t.members()[-1:], before)
+
+
+def test_a_share_of_the_actors_and_all_exploring_flights_enter_the_shared_memory() -> None:
+    t = Trainer(overlapping(), CPU)
+    row = t.generation()
+    flights = 2 + 1 + 2  # half of four actors, the TD3 actor, its two further flights; one of two evaluations each
+    assert row.frames == t.replay.filled <= flights * 100
+    assert row.frames > (flights - 1) * 100 * 0.3
+    assert row.simulated > 1.5 * row.frames
+    assert (t.population.memory.filled[:4] > 0).all()
+
+
+def test_mutation_falls_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    t = Trainer(overlapping(), CPU)
+    seen = []
+    evolve = t.population.evolve
+
+    def watched(*arguments: object) -> int | None:
+        seen.append(arguments[-1])
+        return evolve(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(t.population, "evolve", watched)
+    frames = [0]
+    for _ in range(3):
+        frames += [t.generation().frames]
+    expected = [2.47e-2 * (1.0 - 0.8 * min(n / 3000, 1.0)) for n in frames[:-1]]
+    assert seen == pytest.approx(expected)
+
+
 def test_only_the_stored_flights_are_remembered_and_counted() -> None:
     t = trainer(evaluations=3, stored_evaluations=1)
     row = t.generation()
@@ -229,7 +307,7 @@ def test_only_the_stored_flights_are_remembered_and_counted() -> None:
 
 def test_memory_holds_the_transitions_as_flown() -> None:
     t = trainer(evaluations=1)
-    flights = t._fly()
+    (flights,) = t._fly()
     t._remember(flights)
     rows = t.replay.rows[:100].numpy()
     scale = np.array(t.network.input_scale, dtype=np.float32)
@@ -242,7 +320,7 @@ def test_memory_holds_the_transitions_as_flown() -> None:
 
 def test_only_the_td3_actor_explores_and_only_where_it_is_remembered() -> None:
     t = trainer(evaluations=2)
-    flights = t._fly()
+    (flights,) = t._fly()
     calm = t.rollouts.fly(t.network, t.members(), np.zeros((2, 101, 3)), np.zeros((100, 2, 3)))
     assert flights.u.shape == calm.u.shape
     jump = np.abs(np.diff(flights.u, axis=0)).mean(axis=(0, 3))
