@@ -15,7 +15,7 @@ from export.study.cases import Case, CaseFleet
 from export.training.checkpoint import atomic
 from export.training.evaluate import DURATION, Scores, score
 from export.training.flights import draw_references
-from task.reference import FamilyName
+from task.reference import FamilyName, n_samples
 
 ABREAST = 14
 """Aircraft that fly side by side: more of them no longer share a core's cache and each step takes longer."""
@@ -37,6 +37,8 @@ class Trials(NamedTuple):
     family: FamilyName | Literal["published"] = "evaluation"
     first: int | None = None
     """Only so many of them, from one seed after the other; None: all."""
+    until: float | None = None
+    """Only so many seconds of each reference, which stays that of ``duration``; None: all."""
 
     @property
     def chosen(self) -> list[int]:
@@ -53,7 +55,8 @@ class Trials(NamedTuple):
         """Return the references (total, T + 1, 3) [rad] about a trim pitch [rad]."""
         streams = [np.random.default_rng(s) for s in SEEDS]
         drawn = [draw_references(rng, self.each, self.duration, theta_trim, self.family) for rng in streams]
-        return np.concatenate(drawn)[self.chosen]
+        flown = n_samples(self.until or self.duration) + 1
+        return np.concatenate(drawn)[self.chosen, :flown]
 
     def noise_seeds(self) -> list[int]:
         """Return a seed of the sensors' noise for each reference, the same however many there are."""

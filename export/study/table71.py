@@ -145,7 +145,7 @@ def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, f
         f"Champion {contest.population.description.champion}: picked once, by nominal validation references that are "
         "not among these. Champion and TD3 actor flew the same "
         f"{trials.total} references of {trials.duration:g} s ({trials.each} of each seed).",
-        f"The population flew {few.total} of them, for want of time; the re-picked champion is the member with the "
+        f"The population flew {f'the first {few.until:g} s of ' if few.until else ''}{few.total} of them; the re-picked champion is the member with the "
         f"lowest nMAE on {'that one' if few.total == 1 else 'those'}, and its figure is of the {unseen} others.",
         "TD3 actor: "
         + (f"trained alone ({home}), of the runs given the best by its validation." if home else "within the run."),
@@ -164,6 +164,7 @@ def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, f
 @click.option("--cases", default=",".join(c.name for c in CASES), show_default=True)
 @click.option("--references", type=click.IntRange(1), default=10, show_default=True, help=f"Of each of seeds {SEEDS}.")
 @click.option("--population-references", type=click.IntRange(1), default=3, show_default=True, help="In all.")
+@click.option("--population-seconds", type=click.FloatRange(1.0), help="Of those references.  [default: all]")
 @click.option("--duration", type=click.FloatRange(1.0), default=DURATION, show_default=True, help="Of a flight [s].")
 @click.option("--name", default="table71", show_default=True, help="Of the files in results/ and docs/img/.")
 def table71(
@@ -172,6 +173,7 @@ def table71(
     cases: str,
     references: int,
     population_references: int,
+    population_seconds: float | None,
     duration: float,
     name: str,
 ) -> None:
@@ -179,7 +181,7 @@ def table71(
     began = time.perf_counter()
     chosen = choose(cases)
     trials = Trials(references, duration)
-    few = trials._replace(first=population_references)
+    few = trials._replace(first=population_references, until=population_seconds)
     if few.total < population_references:
         raise UserError(f"--population-references: expected at most {trials.total}, {references} of each seed")
     contest = Contest(run, load_run(run), {str(path): load_run(path) for path in td3_runs})
@@ -197,6 +199,8 @@ def table71(
     ]
     arguments = "".join(f" --td3 {path}" for path in td3_runs) + f" --references {references}"
     arguments += f" --population-references {population_references} --name {name}"
+    if population_seconds:
+        arguments += f" --population-seconds {population_seconds:g}"
     if duration != DURATION:
         arguments += f" --duration {duration:g}"
     if len(chosen) < len(CASES):

@@ -101,6 +101,7 @@ def test_fewer_references_are_the_first_of_each_seed_in_turn():
     np.testing.assert_array_equal(Trials(3, 2.0, first=4).references(0.05), whole[[0, 1, 3, 6]])
     np.testing.assert_array_equal(Trials(1, 2.0).references(0.05), whole[[0, 3, 6]])
     assert len(set(Trials(3).noise_seeds())) == 9
+    np.testing.assert_array_equal(Trials(3, 2.0, until=1.0).references(0.05), whole[:, :101])
 
 
 def test_flights_are_kept_and_flown_again_only_when_something_changes(fleet, tmp_path):
