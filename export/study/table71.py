@@ -141,12 +141,13 @@ def rivals_scores(contest: Contest, trials: Trials, progress: Progress) -> dict[
 def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, few: Trials) -> list[str]:
     home = contest.td3[0]
     unseen = len(next(iter(scores.values())).unseen)
+    part = f"the first {few.until:g} s of " if few.until else ""
     return [
         f"Champion {contest.population.description.champion}: picked once, by nominal validation references that are "
         "not among these. Champion and TD3 actor flew the same "
         f"{trials.total} references of {trials.duration:g} s ({trials.each} of each seed).",
-        f"The population flew {f'the first {few.until:g} s of ' if few.until else ''}{few.total} of them; the re-picked champion is the member with the "
-        f"lowest nMAE on {'that one' if few.total == 1 else 'those'}, and its figure is of the {unseen} others.",
+        f"The population flew {part}{few.total} of them; the re-picked champion is the member with the lowest nMAE there, "
+        f"and its figure is of the {unseen} others.",
         "TD3 actor: "
         + (f"trained alone ({home}), of the runs given the best by its validation." if home else "within the run."),
         "± is the standard deviation over references (champion, TD3), over members (average).",
