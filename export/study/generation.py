@@ -17,13 +17,14 @@ from export.study.short import Short, memories
 from export.study.short_runs import OPERATORS
 from export.study.show import flights_progress
 from export.study.statistics import paired_interval, t_test
+from export.study.thesis import MUTATION, MUTATION_MAGNITUDE
 from export.training.evaluate import Scores
 from export.training.genetic import act
 from export.training.population import Population
 from task.limits import DEFLECTION_LIMIT
 from task.results import Table
 
-MAGNITUDES = (0.8e-2, 2.47e-2, 7.4e-2)
+MAGNITUDES = (0.8e-2, MUTATION_MAGNITUDE, 7.4e-2)
 """sigma_mut; the middle one is the thesis's of SERL(10), the others a third and three times of it."""
 DURATION = 20.0
 """Of a flight [s], as in training."""
@@ -117,18 +118,18 @@ def litter_tables(litters: list[Litter]) -> list[Table]:
     tests = []
     for magnitude in MAGNITUDES:
         of = {litter.operator: litter for litter in litters if litter.magnitude == magnitude}
-        for first, second in (("safe", "gaussian"), ("safe", "proximal"), ("gaussian", "proximal")):
+        for first, second in MUTATION:
             row: list[object] = [magnitude, f"{first} less {second}"]
             for field in ("return_change", "unsafe_change"):
                 a, b = (getattr(of[o], field).ravel() for o in (first, second))
                 difference, low, high = paired_interval(a, b)
                 row += [f"{difference:+.3f} [{low:+.3f}, {high:+.3f}]", f"{t_test(a, b):.1e}"]
-            tests.append(row)
+            tests.append([*row, MUTATION[first, second] if magnitude == MUTATION_MAGNITUDE else None])
     return [
         Table(title="Over one generation", columns=columns, rows=rows),
         Table(
             title="Operators compared over one generation, paired [95 % interval]",
-            columns=["sigma_mut", "pair", "change of return", "p", "change of unsafe samples", "p "],
+            columns=["sigma_mut", "pair", "change of return", "p", "change of unsafe samples", "p ", "thesis: return"],
             rows=tests,
         ),
     ]

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from export.study import short_runs
-from export.study.generation import MAGNITUDES, Litter, draw_litters, litter_tables, one_generation
+from export.study.generation import Litter, draw_litters, litter_tables, one_generation
 from export.study.pictures import picture
 from export.study.short import RUNS, Short, counted, train
 from export.study.show import flights_progress, show
+from export.study.thesis import MUTATION_MAGNITUDE
 from task import results
 from task.results import Claim, Table
 
@@ -77,7 +78,7 @@ def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:
         safe > proximal > gaussian
         for gaussian, proximal, safe in zip(ends["gaussian"], ends["proximal"], ends["safe"], strict=True)
     )
-    published = {litter.operator: litter for litter in litters if litter.magnitude == MAGNITUDES[1]}
+    published = {litter.operator: litter for litter in litters if litter.magnitude == MUTATION_MAGNITUDE}
     change = {operator: float(litter.unsafe_change.mean()) for operator, litter in published.items()}
     return [
         Claim(

@@ -146,8 +146,8 @@ def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, f
         f"Champion {contest.population.description.champion}: picked once, by nominal validation references that are "
         "not among these. Champion and TD3 actor flew the same "
         f"{trials.total} references of {trials.duration:g} s ({trials.each} of each seed).",
-        f"The population flew {part}{few.total} of them; the re-picked champion is the member with the lowest nMAE there, "
-        f"and its figure is of the {unseen} others.",
+        f"The population flew {part}{few.total} of them; the re-picked champion is the member with the lowest nMAE "
+        f"there, and its figure is of the {unseen} others.",
         "TD3 actor: "
         + (f"trained alone ({home}), of the runs given the best by its validation." if home else "within the run."),
         "± is the standard deviation over references (champion, TD3), over members (average).",

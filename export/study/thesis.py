@@ -47,10 +47,11 @@ SM_TD3 = Published(-1500.0, 123.0)
 SM_SERL50 = Published(-5.0, 1.0)
 """Sm [rad Hz] (section IV.D)."""
 
-MUTATION_P = {
-    "return: Gaussian over proximal": 6.3e-10,
-    "return: Gaussian over safe": 7.08e-6,
-    "return: safe over proximal": 0.004,
-    "unsafe: proximal under Gaussian": 5.38e-8,
+MUTATION_MAGNITUDE = 2.47e-2
+"""sigma_mut of SERL(10)."""
+MUTATION = {
+    ("safe", "gaussian"): "lower, p = 7e-6; unsafe: a quarter",
+    ("safe", "proximal"): "higher, p = 4e-3; unsafe: half",
+    ("gaussian", "proximal"): "higher, p = 6e-10; unsafe: higher, p = 5e-8",
 }
-"""Tail probabilities of section 6.2."""
+"""Change of return and of unsafe samples over one generation of 10 actors on 30 references (section 6.2)."""
