@@ -91,7 +91,7 @@ class Breeder:
         s = self.settings
         for round_ in range(s.main.rounds):
             yield MAIN, round_, s.main
-        for name in (*(case.name for case in s.cases), *s.bred_for):
+        for name in (*s.bred_for, *(case.name for case in s.cases)):
             for round_ in range(s.specialist.rounds):
                 yield name, round_, s.specialist
         for round_ in range(s.robust.rounds):
