@@ -1,32 +1,38 @@
 """What one imagination of the whole cast costs: our graph, batched numpy, and what the arithmetic alone would take.
 
 ``python -m bench.imagination`` measures all of them in turns within one run, on one thread, and writes
-``results/imagination.json``.
+``results/imagination.json``. ``--before REVISION`` measures the graph that ``export/imagination.py`` of that revision
+built beside today's; 70988a9 is the last one without delay and models.
 
 Predicted before the first measurement, for networks of the thesis's shape: the graph is 3 to 6 times as fast as batched
 numpy; it stays 5 to 15 times above the limit of its arithmetic, because a product of one row per actor cannot reuse a
 weight; and it is 2 to 4 times above one matrix-vector product over all weights a step, which has to read the same
 weights but pays for no other node. The wider the network, the nearer to that limit.
 
-Found: 3 to 5 times as fast as numpy and 2 to 4 times above reading the weights, as predicted. Against the arithmetic
-the prediction holds for the large and wide cast only (7 to 9 times); small or narrow ones stand 15 to 25 times above
-it: there the nodes' dispatch, about 60 a step, is what is paid for.
+Found: that holds for the thesis's shape; small casts stay further above their arithmetic. There it is not the nodes
+that are paid for, as was believed at first: a product of one row with one actor's weights costs 0.2 to 0.3 us whatever
+its size, so that the number of layers times actors counts. Nodes come second, delayed commands cost next to nothing,
+and several models at once cost less than one after the other, because their rows share an actor's weights.
 """
 
 from __future__ import annotations
 
 import itertools
+import subprocess
 import time
+import types
 from collections.abc import Callable
 from typing import NamedTuple
 
 import click
 import numpy as np
+import onnxruntime
 
 from export.imagination import imagination
 from export.network import Layer, Network, n_parameters, unflatten
-from export.rollout import rollout
+from export.rollout import MAX_DELAY, rollout
 from runtime.population import make_session
+from task.errors import UserError
 from task.model import DYNAMIC, embed_reduced
 from task.reference import base_reference
 from task.results import Claim, Result, Table, write
@@ -36,6 +42,8 @@ SEED = 0
 LAG = 1
 SQUARE = 512
 """Side of the matrices whose product shows what this core can do [elements]."""
+MODELS = (3, 8)
+"""Models imagined at once."""
 
 
 class Case(NamedTuple):
@@ -44,20 +52,32 @@ class Case(NamedTuple):
     members: int
     width: int
     horizon: int
+    shape: str = "thesis"
+    """``thesis``: Linear, three times Linear with LayerNorm, Linear; ``small``: two hidden layers without; tanh."""
+
+    @property
+    def label(self) -> str:
+        """Return the case in words."""
+        return f"{self.shape}, {self.members} + 1 actors, {self.width} wide, {self.horizon} steps"
+
+    @property
+    def network(self) -> Network:
+        """Return the actors' network."""
+        more = (Layer(units=self.width, layer_norm="standard"),) * 3 if self.shape == "thesis" else (
+            Layer(units=self.width),
+        )  # fmt: skip
+        return Network(layers=(Layer(units=self.width), *more, Layer(units=3)))
 
 
-CASES = (Case(10, 72, 200), Case(10, 72, 400), Case(50, 32, 200), Case(50, 72, 200), Case(50, 72, 400))
-
-
-def network(width: int) -> Network:
-    """Return the thesis's shape: Linear, tanh, three times Linear, LayerNorm, tanh, and Linear, tanh."""
-    hidden = (Layer(units=width), *[Layer(units=width, layer_norm="standard")] * 3)
-    return Network(layers=(*hidden, Layer(units=3)))
+CASES = (
+    Case(8, 32, 400, "small"), Case(17, 32, 400, "small"), Case(50, 32, 400, "small"),
+    Case(10, 72, 400), Case(17, 72, 400), Case(50, 32, 200), Case(50, 72, 200),
+)  # fmt: skip
 
 
 def flop(case: Case) -> int:
     """Return the multiplications and additions of the policies' products; all else is small beside them."""
-    widths = [7, *[case.width] * 4, 3]
+    widths = [7, *(layer.units for layer in case.network.layers)]
     one = sum(2 * a * b for a, b in itertools.pairwise(widths))
     return (case.members + 1) * case.horizon * one
 
@@ -79,20 +99,45 @@ def question(horizon: int) -> Inputs:
     reduced = np.zeros((11, len(DYNAMIC)))
     reduced[: len(DYNAMIC)] = 0.98 * np.eye(len(DYNAMIC))
     reduced[8, STATE.q], reduced[9, STATE.p], reduced[10, STATE.r] = -0.12, -0.2, -0.04
-    arrays = (x, np.zeros(10), np.zeros((LAG + 1, 3)), embed_reduced(reduced), base_reference(20.0, 0.0)[: horizon + 1])
+    commands = np.zeros((LAG + 1 + MAX_DELAY, 3))
+    arrays = (x, np.zeros(10), commands, embed_reduced(reduced), base_reference(20.0, 0.0)[: horizon + 1])
     return Inputs(*(a.astype(np.float32) for a in arrays))
 
 
-def variants(case: Case) -> dict[str, Callable[[], object]]:
+def builder_of(revision: str) -> Callable[..., object]:
+    """Return the function that built the graph at a revision of this repository; it must run with today's modules."""
+    where = f"{revision}:export/imagination.py"
+    shown = subprocess.run(["git", "show", where], capture_output=True, text=True, check=False)
+    if shown.returncode:
+        raise UserError(f"--before {revision}: git show {where}: {shown.stderr.strip().splitlines()[0]}")
+    module = types.ModuleType("before")
+    exec(compile(shown.stdout, where, "exec"), module.__dict__)
+    return module.imagination
+
+
+def played(
+    session: onnxruntime.InferenceSession, asked: Inputs, incumbent: np.ndarray, delay: int, models: int
+) -> dict:
+    """Return the feeds of a graph; one of before the delay takes the latest commands and one model."""
+    feeds = {**asked._asdict(), "exact_kinematics": np.array(True), "incumbent": incumbent}
+    if "delay" in {i.name for i in session.get_inputs()}:
+        return feeds | {"delay": np.array(delay), "model": np.repeat(asked.model[None], models, axis=0)}
+    return feeds | {"commands": asked.commands[MAX_DELAY:]}
+
+
+def variants(case: Case, before: Callable[..., object] | None) -> dict[str, Callable[[], object]]:
     """Return what is measured, by name; each is one imagination of the case."""
-    shape = network(case.width)
+    shape = case.network
     rng = np.random.default_rng(SEED)
     parameters = (0.1 * rng.normal(size=(case.members, n_parameters(shape)))).astype(np.float32)
     asked = question(case.horizon)
-    session = make_session(imagination(shape, parameters, LAG).SerializeToString(), "imagination")
-    feeds = {**asked._asdict(), "exact_kinematics": np.array(True), "incumbent": parameters[0]}
-    actors = np.concatenate([parameters, parameters[:1]])
 
+    def play(build: Callable[..., object], delay: int = 0, models: int = 1) -> Callable[[], object]:
+        session = make_session(build(shape, parameters, LAG).SerializeToString(), "imagination")  # type: ignore[attr-defined]
+        feeds = played(session, asked, parameters[0], delay, models)
+        return lambda: session.run(None, feeds)
+
+    actors = np.concatenate([parameters, parameters[:1]])
     weights = [
         (t.reshape(-1, t.shape[-1]), np.ones(t.shape[-1], np.float32), np.empty(t.shape[0] * t.shape[1], np.float32))
         for name, t in unflatten(shape, actors).items()
@@ -115,16 +160,19 @@ def variants(case: Case) -> dict[str, Callable[[], object]]:
         return blocks * (time.perf_counter() - start)
 
     return {
-        "graph": lambda: session.run(None, feeds),
-        "batched numpy": lambda: rollout(shape, actors, *asked[:4], True, asked.reference),
+        "graph": play(imagination),
+        "delay 20": play(imagination, delay=MAX_DELAY),
+        **{f"{m} models": play(imagination, models=m) for m in MODELS},
+        **({"before": play(before)} if before else {}),
+        "batched numpy": lambda: rollout(shape, actors, *asked[:3], 0, asked.model, True, asked.reference),
         "reading the weights": read_weights,
         "arithmetic": arithmetic,
     }
 
 
-def measure(case: Case, rounds: int) -> dict[str, float]:
+def measure(case: Case, rounds: int, before: Callable[..., object] | None) -> dict[str, float]:
     """Return the median time of each variant [ms], taken in turns."""
-    timed = variants(case)
+    timed = variants(case, before)
     samples: dict[str, list[float]] = {name: [] for name in timed}
     for turn in range(rounds + 1):
         for name, play in timed.items():
@@ -136,51 +184,64 @@ def measure(case: Case, rounds: int) -> dict[str, float]:
     return {name: float(np.median(s)) for name, s in samples.items()}
 
 
+def claims_of(label: str, ms: dict[str, float]) -> list[Claim]:
+    """Return what a case says of the graph."""
+    graph = ms["graph"]
+    faster, late = ms["batched numpy"] / graph, ms["delay 20"] / graph
+    claims = [
+        Claim(claim=f"graph against batched numpy, {label}", value=round(faster, 2), unit="times as fast",
+              target="> 1", holds=faster > 1.0),
+        Claim(claim=f"graph against the limit of its arithmetic, {label}",
+              value=round(graph / ms["arithmetic"], 1), unit="times as long"),
+        Claim(claim=f"commands 20 samples late, {label}", value=round(late, 2), unit="times as long"),
+        Claim(claim=f"three models at once, {label}", value=round(ms["3 models"] / graph, 2), unit="times as long",
+              target="< 3", holds=ms["3 models"] < 3.0 * graph),
+    ]  # fmt: skip
+    if "before" in ms:
+        ratio = graph / ms["before"]
+        claims.append(
+            Claim(claim=f"graph against the one before, {label}", value=round(ratio, 2), unit="times as long",
+                  target="<= 1.05", holds=ratio <= 1.05)
+        )  # fmt: skip
+    return claims
+
+
 @click.command()
 @click.option("--rounds", default=9, show_default=True)
-def main(rounds: int) -> None:
+@click.option("--before", "revision", help="Also measure the graph that this git revision built.")
+def main(rounds: int, revision: str | None) -> None:
     """Measure and write results/imagination.json."""
     began = time.perf_counter()
+    before = builder_of(revision) if revision else None
     rows: list[list] = []
-    claims = []
+    claims: list[Claim] = []
+    ms: dict[str, float] = {}
     for case in CASES:
-        ms = measure(case, rounds)
-        label = f"{case.members} + 1 actors, {case.width} wide, {case.horizon} steps"
-        graph = ms["graph"]
-        rows.append([label, *(round(v, 2) for v in ms.values()), round(1e6 * graph / (case.horizon * 1e3), 1)])
-        faster = ms["batched numpy"] / graph
-        claims.append(
-            Claim(claim=f"graph against batched numpy, {label}", value=round(faster, 2), unit="times as fast",
-                  target="> 1", holds=faster > 1.0)
-        )  # fmt: skip
-        claims.append(
-            Claim(claim=f"graph against the limit of its arithmetic, {label}",
-                  value=round(graph / ms["arithmetic"], 1), unit="times as long")
-        )  # fmt: skip
-        print(f"{label:38}" + "".join(f"  {name} {value:7.2f} ms" for name, value in ms.items()))
-    columns = [
-        "case",
-        "graph [ms]",
-        "batched numpy [ms]",
-        "reading the weights [ms]",
-        "arithmetic [ms]",
-        "graph [us/step]",
-    ]
+        ms = measure(case, rounds, before)
+        rows.append([case.label, *(round(v, 2) for v in ms.values()), round(1e3 * ms["graph"] / case.horizon, 1)])
+        claims += claims_of(case.label, ms)
+        click.echo(f"{case.label:44}" + "".join(f"  {name} {value:.2f}" for name, value in ms.items()) + " ms")
     result = Result(
         title="One imagination of the whole cast",
-        command="python -m bench.imagination",
+        command="python -m bench.imagination" + (f" --before {revision}" if revision else ""),
         seconds=round(time.perf_counter() - began, 1),
         runs=rounds,
         seeds=[SEED],
         claims=claims,
-        tables=[Table(title="Median of one imagination, one thread", columns=columns, rows=rows)],
+        tables=[
+            Table(title="Median of one imagination, one thread",
+                  columns=["case", *(f"{name} [ms]" for name in ms), "graph [us/step]"], rows=rows)
+        ],
         notes=[
-            "Networks of the thesis's shape, layer norm included; variants in turns within one run: compare ratios.",
+            "thesis: networks of the thesis's shape, layer norm included; small: 7-32-32-3.",
+            "Variants in turns within one run: compare ratios.",
+            "3 and 8 models: the whole cast in each of them, in one call.",
             "Reading the weights: one matrix-vector product over all actors' weights per layer and step.",
             f"Arithmetic: the products' operations at the speed of a {SQUARE} x {SQUARE} product on the same core.",
+            *([f"Before: the graph of revision {revision}, without delay and with one model."] if revision else []),
         ],
-    )
-    print(write("imagination", result))
+    )  # fmt: skip
+    click.echo(str(write("imagination", result)))
 
 
 if __name__ == "__main__":
