@@ -20,12 +20,16 @@ from export.study.statistics import paired_interval, t_test
 from export.study.thesis import MUTATION, MUTATION_MAGNITUDE
 from export.training.evaluate import Scores
 from export.training.genetic import act
+from export.training.memory import Recollections
 from export.training.population import Population
 from task.limits import DEFLECTION_LIMIT
 from task.results import Table
 
 MAGNITUDES = (0.8e-2, MUTATION_MAGNITUDE, 7.4e-2)
 """sigma_mut; the middle one is the thesis's of SERL(10), the others a third and three times of it."""
+SHARED = "safe, shared"
+"""Safety-informed, each parent given the critical states of all: most have none of their own."""
+VARIANTS = (*OPERATORS, SHARED)
 DURATION = 20.0
 """Of a flight [s], as in training."""
 STREAM = 7
@@ -50,19 +54,30 @@ class Litter(NamedTuple):
 
 def mutated(short: Short, network: Network, operator: str, magnitude: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the children (N, K) of a run's genetic actors, their RMS command change (N,) [rad] and the informed."""
-    changes = {"mutation": operator, "mutation_magnitude": magnitude}
+    changes = {"mutation": "safe" if operator == SHARED else operator, "mutation_magnitude": magnitude}
     settings = msgspec.structs.replace(short.config.genetic, **changes)
     population = Population(network, settings, torch.Generator().manual_seed(STREAM), torch.device("cpu"))
     population.restore(memories(short))
     slots = list(range(settings.population))
+    if operator == SHARED:
+        _share(population.critical)
     generator = torch.Generator().manual_seed(STREAM)
     states = population.memory.sample(slots, settings.pairing_batch, generator)
     before = act(network, population.parameters, states)
     population.mutate_slots(slots, generator)
     step = act(network, population.parameters, states) - before
     rms = DEFLECTION_LIMIT * step.square().mean(dim=(1, 2)).sqrt().numpy()
-    informed = int((population.critical.filled[slots] > settings.mutation_batch).sum()) if operator == "safe" else 0
+    known = population.critical.filled[slots] > settings.mutation_batch
+    informed = int(known.sum()) if settings.mutation == "safe" else 0
     return population.parameters.numpy(), rms, informed
+
+
+def _share(critical: Recollections) -> None:
+    """Give every actor the critical states of all."""
+    pool = torch.cat([critical.latest(i, int(critical.filled[i])) for i in range(len(critical.filled))])
+    for i in range(len(critical.filled)):
+        critical.clear(i)
+        critical.add(i, pool)
 
 
 def one_generation(short: Short, references: int) -> list[Litter]:
@@ -72,7 +87,7 @@ def one_generation(short: Short, references: int) -> list[Litter]:
     trials = Trials(references, DURATION, "training")
     fleet, store = CaseFleet(), short.folder / "study"
     litters = []
-    sets = 1 + len(OPERATORS) * len(MAGNITUDES)
+    sets = 1 + len(VARIANTS) * len(MAGNITUDES)
     with flights_progress(sets * len(parents) * trials.total) as progress:
 
         def flown(parameters: np.ndarray) -> Scores:
@@ -80,7 +95,7 @@ def one_generation(short: Short, references: int) -> list[Litter]:
 
         before = flown(parents)
         for magnitude in MAGNITUDES:
-            for operator in OPERATORS:
+            for operator in VARIANTS:
                 children, step, informed = mutated(short, network, operator, magnitude)
                 after = flown(children)
                 litters.append(
@@ -118,13 +133,13 @@ def litter_tables(litters: list[Litter]) -> list[Table]:
     tests = []
     for magnitude in MAGNITUDES:
         of = {litter.operator: litter for litter in litters if litter.magnitude == magnitude}
-        for first, second in MUTATION:
+        for first, second in (*MUTATION, (SHARED, "gaussian"), (SHARED, "proximal")):
             row: list[object] = [magnitude, f"{first} less {second}"]
             for field in ("return_change", "unsafe_change"):
                 a, b = (getattr(of[o], field).ravel() for o in (first, second))
                 difference, low, high = paired_interval(a, b)
                 row += [f"{difference:+.3f} [{low:+.3f}, {high:+.3f}]", f"{t_test(a, b):.1e}"]
-            tests.append([*row, MUTATION[first, second] if magnitude == MUTATION_MAGNITUDE else None])
+            tests.append([*row, MUTATION.get((first, second)) if magnitude == MUTATION_MAGNITUDE else None])
     return [
         Table(title="Over one generation", columns=columns, rows=rows),
         Table(
@@ -140,14 +155,14 @@ def draw_litters(figure: Figure, litters: list[Litter]) -> None:
     figure.set_size_inches(11.0, 4.0)
     axes = figure.subplots(1, 3)
     at = np.arange(len(MAGNITUDES))
-    for i, operator in enumerate(OPERATORS):
+    for i, operator in enumerate(VARIANTS):
         of = [litter for litter in litters if litter.operator == operator]
-        place = at + 0.27 * (i - 1)
+        place = at + 0.2 * (i - 1.5)
         for axis, field in ((axes[0], "return_change"), (axes[1], "unsafe_change")):
             boxes = axis.boxplot(
                 [getattr(litter, field).ravel() for litter in of],
                 positions=place,
-                widths=0.22,
+                widths=0.17,
                 patch_artist=True,
                 showmeans=True,
                 flierprops={"markersize": 2.5},

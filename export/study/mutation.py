@@ -135,6 +135,8 @@ def mutation(runs: Path, references: int, name: str) -> None:
                 f"{litters[0].return_change.shape[1]} training references of 20 s; the run's own memories.",
                 "Change of return: eq. 6.1, (child - parent) / |parent|. Change of unsafe samples: (child - parent) "
                 "over the mean of all parents, since most flights of most parents have none to divide by.",
+                "Safe, shared: every parent is given the critical states of the whole population, which asks what the "
+                "operator does once it knows any.",
                 "The same magnitude is not the same step: eq. 8 divides it by the sensitivity. The RMS change of the "
                 "command on the parent's memory says how large a step it was.",
             ],

@@ -11,7 +11,7 @@ from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population, save_run
 from export.study import short
 from export.study.__main__ import study
-from export.study.generation import mutated
+from export.study.generation import VARIANTS, mutated
 from export.study.ranges import RANGES, configure
 from export.study.short_runs import OPERATORS, operator, smooth_fitness, td3, without_caps
 from export.study.sweep_picture import place
@@ -107,11 +107,11 @@ def test_mutation_study_from_training_to_pictures(tmp_path, monkeypatch, quick):
     result = results.read(tmp_path / "results" / "mutation.json")
     over_training, generation, tests = result.tables
     assert [row[0] for row in over_training.rows] == list(OPERATORS)
-    assert [row[0] for row in generation.rows] == list(OPERATORS) * 3
+    assert [row[0] for row in generation.rows] == list(VARIANTS) * 3
     steps = [row[2] for row in generation.rows if row[0] == "gaussian"]
     assert steps == sorted(steps)
     assert steps[0] > 0.0
-    assert len(tests.rows) == 9
+    assert len(tests.rows) == 15
     for picture in ("mutation_training", "mutation_generation"):
         assert (tmp_path / "docs" / "img" / f"{picture}.png").stat().st_size > 5000
     folder = tmp_path / "runs" / "study" / "serl10-safe-1"
