@@ -85,7 +85,7 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
               help="Which of two disjoint halves is flown.")  # fmt: skip
 @click.option("--references", "count", type=click.IntRange(1, 999), default=30, show_default=True,
               help="Flights of every fault; more later go on from these.")  # fmt: skip
-@click.option("--population", default="serl10-mirrors", show_default=True, help="Folder of the cast, or its name.")
+@click.option("--population", default="citation", show_default=True, help="Folder of the cast, or its name.")
 @click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all]")
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
 @click.option("--ours", default="structured", show_default=True, help="The row that the claims are about.")

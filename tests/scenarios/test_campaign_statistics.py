@@ -138,5 +138,8 @@ def test_events_are_counted_against_the_runtimes_own():
         events.hear(line)
     assert (events.alarms, events.switched_at, events.switched_to) == ([-1.0], [-10.0, 0.25], ["good", "good/-e"])
     events.check(1, 1)
+    events.check(1, 0)
     with pytest.raises(RuntimeError, match="the runtime counted"):
         events.check(2, 1)
+    with pytest.raises(RuntimeError, match="the runtime counted"):
+        events.check(1, 2)
