@@ -9,7 +9,7 @@ import jinja2
 import numpy as np
 
 from export.population import Population
-from export.study.cases import CASES, NOMINAL_CASE
+from export.study.cases import CASES, NOMINAL_CASE, REVERSED
 from task.limits import DEFLECTION_LIMIT, DT
 from task.reward import UNSAFE_ALPHA, UNSAFE_PHI
 
@@ -101,7 +101,7 @@ def _screened(population: Population, screening: Screening) -> dict[str, Any]:
 def _cases(population: Population, screening: Screening) -> list[list[str]]:
     """Return a row for each case: the champion, the best, the average and how many keep the constraints."""
     names = [member.name for member in population.description.members]
-    titles = {case.name: case.title for case in CASES}
+    titles = {case.name: case.title for case in (*CASES, *REVERSED)}
     rows = []
     for case, scores in screening.scores.items():
         best, lost = int(np.argmin(scores.ranking())), int(scores.lost[population.champion].sum())

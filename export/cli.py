@@ -47,7 +47,8 @@ def export(
     """Export the trained population in RUN to the folder POPULATION, whose name becomes the population's.
 
     Writes ONNX graphs, parameters, the incremental model's prior, the rate model, a model card with what every
-    member was seen to do in the thesis's ten cases, and a manifest with hashes and golden samples.
+    member was seen to do in the thesis's ten cases and with reversed surfaces, and a manifest with hashes and
+    golden samples.
     """
     screened = (
         load_toml(screening_file, ScreeningSettings, "screening settings") if screening_file else ScreeningSettings()

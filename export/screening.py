@@ -16,10 +16,12 @@ from msgspec import Meta
 
 from export.population import Member, Population
 from export.study.campaign import ABREAST, SEEDS, Trials, fly_once, join
-from export.study.cases import CASES, NOMINAL_CASE, CaseFleet
+from export.study.cases import CASES, NOMINAL_CASE, REVERSED, CaseFleet
 from export.training.evaluate import Scores, attitude_nmae
 from task.config import Settings
 
+SCREENED = (*CASES, *REVERSED)
+"""The thesis's cases, and each surface reversed: what a specialist may be for."""
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
@@ -116,14 +118,14 @@ def screen(
             [fly_once(store, fleet, case, population.network, block, settings.trials, progress) for block in blocks],
             axis=0,
         )
-        for case in CASES
+        for case in SCREENED
     }
     return Screening(settings, scores)
 
 
 def flights(population: Population, settings: ScreeningSettings) -> int:
     """Return how many flights :func:`screen` takes."""
-    return len(CASES) * len(population.parameters) * settings.references
+    return len(SCREENED) * len(population.parameters) * settings.references
 
 
 def annotated(population: Population, screening: Screening) -> Population:

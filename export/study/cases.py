@@ -1,4 +1,4 @@
-"""The ten cases of the thesis's table 2 as an aircraft to fly: where it is trimmed, what breaks, how it is sensed."""
+"""Cases, first the ten of the thesis's table 2, as an aircraft to fly: its trim, what breaks, how it is sensed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from export.network import Network
 from export.training.flights import Fleet, Flights
 from sim_bridge.conditions import NOMINAL, R1, R2, FlightCondition
-from sim_bridge.faults import AnyFault
+from sim_bridge.faults import AnyFault, Effectiveness, SurfaceName
 from sim_bridge.plant import Plant
 from sim_bridge.presets import CASES as FAULTS
 from sim_bridge.presets import R3_SENSORS
@@ -20,6 +20,8 @@ from task.errors import UserError
 from task.observation import observation
 from task.reward import tracking_reward, unsafe
 from task.state import N_REFERENCE, STATE
+
+SURFACES: tuple[SurfaceName, ...] = ("elevator", "aileron", "rudder")
 
 
 class Case(NamedTuple):
@@ -44,6 +46,11 @@ CASES = (
     Case("R2", "Low dynamic pressure", condition=R2),
     Case("R3", "Gust, biased and noisy sensors", faults=FAULTS["R3"], sensors=R3_SENSORS),
 )
+REVERSED = tuple(
+    Case(f"{surface}_reversed", f"Reversed {surface}", faults=(Effectiveness(surface=surface, factor=-1.0),))
+    for surface in SURFACES
+)
+"""Beyond table 2: what only a member bred for it survives."""
 NOMINAL_CASE = CASES[0].name
 IDEAL = SensorSettings()
 

@@ -11,26 +11,29 @@ import pytest
 from export.cli import export
 from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population, save_run
-from export.screening import Screening, ScreeningSettings, annotated, flights, screen
-from export.study.cases import CASES
+from export.screening import SCREENED, Screening, ScreeningSettings, annotated, flights, screen
 from runtime.population import load_population
 from task.errors import UserError
 from task.state import ACTION, OBSERVATION
 
 NETWORK = Network(layers=(Layer(units=3),))
 QUICK = ScreeningSettings(references=1, duration=6.0)
-HARD_OVER, TRACKS, IDLE = 0, 1, 2
+HARD_OVER, TRACKS, IDLE, MIRROR = 0, 1, 2, 3
 
 
 def cast() -> Population:
-    """Return three one-layer members: hard over, a linear law that tracks, and one that holds near trim."""
-    tensors = {t.name: np.zeros((3, *t.shape), dtype=np.float32) for t in layout(NETWORK)}
+    """Return one-layer members: hard over, a linear law, one that holds near trim, the law with elevator reversed."""
+    tensors = {t.name: np.zeros((4, *t.shape), dtype=np.float32) for t in layout(NETWORK)}
     weight, bias = tensors["layers.0.weight"], tensors["layers.0.bias"]
     bias[HARD_OVER] = 9.0
     bias[[TRACKS, IDLE], ACTION.de] = np.arctanh(-1.43 / 10.0)
     weight[TRACKS, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -6.0, 3.0
     weight[TRACKS, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -6.0, 3.0
-    members = tuple(Member(name=name, scores={"own": 1.0}) for name in ("hard_over", "tracks", "idle"))
+    for tensor in (weight, bias):
+        tensor[MIRROR] = tensor[TRACKS]
+        tensor[MIRROR, ACTION.de] *= -1.0
+    names = ("hard_over", "tracks", "idle", "mirror")
+    members = tuple(Member(name=name, scores={"own": 1.0}) for name in names)
     description = Description(network=NETWORK, members=members, champion="tracks", training={"seed": 5, "teachers": []})
     return Population(description, flatten(NETWORK, tensors))
 
@@ -40,17 +43,19 @@ def seen(tmp_path_factory) -> Screening:
     store = tmp_path_factory.mktemp("run") / "study"
     done: list[int] = []
     screening = screen(cast(), QUICK, store, done.append)
-    assert sum(done) == flights(cast(), QUICK) == 3 * len(CASES)
-    assert len(list(store.iterdir())) == len(CASES)
+    assert sum(done) == flights(cast(), QUICK) == 4 * len(SCREENED)
+    assert len(list(store.iterdir())) == len(SCREENED)
     return screening
 
 
 def test_members_of_known_skill_are_told_apart(seen):
-    assert list(seen.scores) == [case.name for case in CASES]
+    assert list(seen.scores) == [case.name for case in SCREENED]
     assert seen.passed(HARD_OVER) == 0
     assert seen.verdict(HARD_OVER).startswith("fails in every case")
     assert seen.breaches(TRACKS, "nominal") == []
-    assert seen.passed(TRACKS) > seen.passed(HARD_OVER)
+    assert seen.passed(TRACKS) > seen.passed(MIRROR)
+    assert seen.breaches(MIRROR, "elevator_reversed") == []
+    assert "loses 1 of 1" in seen.breaches(TRACKS, "elevator_reversed")
     assert seen.scores["nominal"].nmae[TRACKS, 0] < 0.5 * seen.scores["nominal"].nmae[HARD_OVER, 0]
 
 
@@ -76,20 +81,20 @@ def test_the_command_writes_a_card_and_the_runtime_reads_the_folder(tmp_path):
     save_run(cast(), tmp_path / "run")
     (tmp_path / "prior.toml").write_text("flights = 1\nduration = 10.0\n")
     (tmp_path / "screening.toml").write_text("references = 1\nduration = 2.0\n")
-    target = tmp_path / "three"
+    target = tmp_path / "four"
     arguments = [str(tmp_path / "run"), str(target), "--prior", str(tmp_path / "prior.toml")]
     arguments += ["--screening", str(tmp_path / "screening.toml")]
     result = click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     card = (target / "MODEL_CARD.md").read_text()
-    for text in ("# three", "3 flight policies", "Champion: **tracks**", "| hard_over | 0 |", "none: from scratch"):
+    for text in ("# four", "4 flight policies", "Champion: **tracks**", "| hard_over | 0 |", "none: from scratch"):
         assert text in card
     assert max(map(len, card.splitlines())) < 1000
     loaded = load_population(target)
     assert loaded.manifest.members[TRACKS].scores["screening_lost"] >= 0.0
     manifest = json.loads((target / "manifest.json").read_bytes())
     assert "MODEL_CARD.md" in manifest["files"]
-    assert set(manifest["training"]["screening"]["verdicts"]) == {"hard_over", "tracks", "idle"}
+    assert set(manifest["training"]["screening"]["verdicts"]) == {"hard_over", "tracks", "idle", "mirror"}
 
 
 def test_settings_that_mean_nothing_are_refused_before_anything_is_flown(tmp_path):
