@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -132,6 +133,7 @@ def main(
             "command": command_line(options) + " --quick" * quick,
         }  # fmt: skip
         write_parquet(records, where / "campaign.parquet", information)
+        screen.print("[dim]" + cost(done) + "[/]")
     campaign = Campaign(records, information["champion"], robust)
     found = result(campaign, information, spent, ours)
     write("campaign", found, where)
@@ -174,6 +176,14 @@ def fly(
     finally:
         signal.signal(signal.SIGTERM, before)
     return done
+
+
+def cost(done: Sequence[Done]) -> str:
+    """Return what a flight took in each row, in words; that of the members is the mean of all of them."""
+    spent: dict[str, list[float]] = {}
+    for one in done:
+        spent.setdefault(one.task.row_name, []).append(one.seconds / len(one.records))
+    return "seconds a flight: " + ", ".join(f"{name} {statistics.fmean(s):.2f}" for name, s in spent.items())
 
 
 def show(screen: Console, found: Result) -> None:
