@@ -53,7 +53,8 @@ class Case(NamedTuple):
     width: int
     horizon: int
     shape: str = "thesis"
-    """``thesis``: Linear, three times Linear with LayerNorm, Linear; ``small``: two hidden layers without; tanh."""
+    """``thesis``: Linear, three times Linear with LayerNorm, Linear; ``small``: two hidden layers without; ``law``: the
+    output layer alone; all with tanh."""
 
     @property
     def label(self) -> str:
@@ -63,13 +64,13 @@ class Case(NamedTuple):
     @property
     def network(self) -> Network:
         """Return the actors' network."""
-        more = (Layer(units=self.width, layer_norm="standard"),) * 3 if self.shape == "thesis" else (
-            Layer(units=self.width),
-        )  # fmt: skip
-        return Network(layers=(Layer(units=self.width), *more, Layer(units=3)))
+        plain, normalised = Layer(units=self.width), Layer(units=self.width, layer_norm="standard")
+        hidden = {"thesis": (plain, *[normalised] * 3), "small": (plain, plain), "law": ()}[self.shape]
+        return Network(layers=(*hidden, Layer(units=3)))
 
 
 CASES = (
+    Case(24, 3, 400, "law"),
     Case(8, 32, 400, "small"), Case(17, 32, 400, "small"), Case(50, 32, 400, "small"),
     Case(10, 72, 400), Case(17, 72, 400), Case(50, 32, 200), Case(50, 72, 200),
 )  # fmt: skip
@@ -233,7 +234,7 @@ def main(rounds: int, revision: str | None) -> None:
                   columns=["case", *(f"{name} [ms]" for name in ms), "graph [us/step]"], rows=rows)
         ],
         notes=[
-            "thesis: networks of the thesis's shape, layer norm included; small: 7-32-32-3.",
+            "thesis: networks of the thesis's shape, layer norm included; small: 7-32-32-3; law: 7-3.",
             "Variants in turns within one run: compare ratios.",
             "3 and 8 models: the whole cast in each of them, in one call.",
             "Reading the weights: one matrix-vector product over all actors' weights per layer and step.",

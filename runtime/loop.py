@@ -20,7 +20,7 @@ from runtime.plays import Played, Plays
 from runtime.policy import Policy
 from runtime.recorder import Recorder
 from runtime.reference import Reference
-from runtime.switching import REASONS, Action, Cast
+from runtime.switching import Action, Cast
 
 
 class Outcome(StrEnum):
@@ -180,18 +180,11 @@ class Loop:
                 self.say(sample, Severity.WARNING, f"imagination failed: {played.error}")
             if played.decision.action is not Action.KEEP:
                 self.switches += 1
-                self.say(sample, Severity.INFO, self.describe_switch(played))
+                self.say(sample, Severity.INFO, played.describe(self.members))
         if health:
             self.report(sample, health)
         self.cycles += 1
         self.last = sample
-
-    def describe_switch(self, played: Played) -> str:
-        """Return a switch in words."""
-        decision = played.decision
-        best, incumbent = played.returns[decision.member], played.returns[-1]
-        kind, name = decision.action.name.lower(), self.members[decision.member]
-        return f"{kind} switch to {name}: predicted {best:.1f}, incumbent {incumbent:.1f} ({REASONS[decision.reason]})"
 
     def report(self, sample: Sample, health: int) -> None:
         """Count the flags that are up, and say those that were not said lately."""

@@ -10,20 +10,33 @@ from runtime.config import Adaptation
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
 from runtime.reference import Reference
-from runtime.switching import Action, Cast, Decision, Reason, decide
+from runtime.switching import REASONS, Action, Cast, Decision, Reason, decide
 
 
 class Played(NamedTuple):
     """An imagination at the moment that it decides."""
 
     returns: np.ndarray
-    """(P + 1,) predicted returns, the incumbent last."""
+    """(P + 1,) predicted returns, the incumbent last; the mean of the models, where there are several."""
+    unsafe: np.ndarray
+    """(P + 1,) for how long each imagined flight is unsafe (thesis eq. 14) and not yet lost [s]."""
     age: float
     """Time since the state that it started from [s]."""
     tick_asked: int
     decision: Decision
     error: str
     """Why the imagination failed; empty when it did not."""
+
+    def describe(self, members: list[str]) -> str:
+        """Return a switch in words; members: the names of the P members."""
+        action, member, reason, _ = self.decision
+        predicted = f"predicted {self.returns[member]:.1f}"
+        if self.unsafe[member] > 0.0:
+            predicted += f" with {self.unsafe[member]:.2f} s unsafe"
+        return (
+            f"{action.name.lower()} switch to {members[member]}: {predicted}, incumbent {self.returns[-1]:.1f} "
+            f"({REASONS[reason]})"
+        )
 
 
 class Plays:
@@ -116,12 +129,12 @@ class Plays:
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
         overtaken = asked <= self._alarm_at
-        returns = prediction.returns.mean(axis=0)
+        returns, unsafe = prediction.returns.mean(axis=0), self._dt * prediction.unsafe.mean(axis=0)
         decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken)
         decision = self._careful(decision, tick < self._watch_until)
         if decision.action is not Action.KEEP:
             self._switched_at = tick
-        return Played(returns, age, asked, decision, prediction.error)
+        return Played(returns, unsafe, age, asked, decision, prediction.error)
 
     def _careful(self, decision: Decision, watching: bool) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when nothing but it speaks for it.
