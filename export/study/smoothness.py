@@ -12,12 +12,11 @@ from matplotlib.figure import Figure
 
 from export.population import Population, load_run
 from export.study import short_runs
-from export.study.campaign import SEEDS, STORE, Progress, Trials, fly_once, join
+from export.study.campaign import ABREAST, SEEDS, STORE, Progress, Trials, fly_once, join
 from export.study.cases import CASES, CaseFleet
 from export.study.pictures import picture
 from export.study.short import RUNS, counted, train
 from export.study.show import flights_progress, show
-from export.study.table71 import BLOCK
 from export.study.thesis import RETURN_CHAMPION, RETURN_TD3, SM_SERL50, SM_TD3
 from export.training.evaluate import Scores
 from task import results
@@ -53,7 +52,7 @@ def fly_run(folder: Path, short: bool, fleet: CaseFleet, progress: Progress) -> 
     """Fly all of a run's members on TRIALS."""
     population = load_run(folder)
     parameters = population.parameters
-    blocks = [parameters[i : i + BLOCK] for i in range(0, len(parameters), BLOCK)]
+    blocks = [parameters[i : i + ABREAST] for i in range(0, len(parameters), ABREAST)]
     flown = [fly_once(folder / STORE, fleet, CASES[0], population.network, b, TRIALS, progress) for b in blocks]
     made = population.description.training.get("config", {})
     caps = made.get("td3", {}).get("lambda_s", 0.0) > 0.0

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from export.population import Population, load_run
-from export.study.campaign import SEEDS, STORE, Progress, Trials, fly_once, join
+from export.study.campaign import ABREAST, SEEDS, STORE, Progress, Trials, fly_once, join
 from export.study.cases import CASES, Case, CaseFleet, choose
 from export.study.pictures import picture
 from export.study.show import flights_progress, show
@@ -20,8 +20,6 @@ from export.training.evaluate import DURATION, Scores
 from task import results
 from task.errors import UserError
 
-BLOCK = 5
-"""Members whose flights are kept together."""
 TD3 = "td3"
 """Name of the gradient actor among a run's members."""
 
@@ -42,21 +40,45 @@ class CaseScores(NamedTuple):
     """Which of the E references had no part in re-picking."""
 
 
+class Pilot(NamedTuple):
+    """One member of a run."""
+
+    run: Path
+    population: Population
+    row: int
+
+    def fly(self, fleet: CaseFleet, case: Case, trials: Trials, progress: Progress) -> Scores:
+        """Return the member's scores (1, E) in a case."""
+        parameters = self.population.parameters[self.row : self.row + 1]
+        return fly_once(self.run / STORE, fleet, case, self.population.network, parameters, trials, progress)
+
+    @property
+    def validation(self) -> float:
+        """Return the nMAE [%] by which the run judged it, infinite where it lost a flight or was not judged."""
+        scores = self.population.description.members[self.row].scores
+        return float("inf") if scores.get("validation_lost") else scores.get("validation_nmae", float("inf"))
+
+
 class Contest(NamedTuple):
     """Who flies."""
 
     run: Path
     population: Population
-    rivals: dict[str, Population]
-    """Runs of TD3 alone, by name."""
+    rivals: dict[str, Pilot]
+    """TD3 actors: of the runs given, then the one within the population."""
+    alone: bool
+    """Runs of TD3 alone were given."""
 
     @property
-    def td3(self) -> tuple[Path | None, Population, int]:
+    def td3(self) -> Pilot:
         """Return the TD3 actor of the table: of the given runs the best by its own validation, else the one within."""
-        if not self.rivals:
-            return None, self.population, names(self.population).index(TD3)
-        best = min(self.rivals, key=lambda name: _validation(self.rivals[name]))
-        return Path(best), self.rivals[best], self.rivals[best].champion
+        given = [pilot for pilot in self.rivals.values() if pilot.run != self.run or not self.alone]
+        return min(given, key=lambda pilot: pilot.validation)
+
+    @property
+    def genetic(self) -> list[int]:
+        """Return the rows of the genetic actors."""
+        return [i for i, name in enumerate(names(self.population)) if name != TD3]
 
 
 def names(population: Population) -> list[str]:
@@ -64,97 +86,76 @@ def names(population: Population) -> list[str]:
     return [member.name for member in population.description.members]
 
 
-def _validation(population: Population) -> float:
-    scores = population.description.members[population.champion].scores
-    lost = scores.get("validation_lost", 0.0)
-    return float("inf") if lost else scores.get("validation_nmae", float("inf"))
+def contest(run: Path, td3_runs: tuple[Path, ...]) -> Contest:
+    """Read the runs; raise UserError when there is no TD3 actor among them."""
+    population = load_run(run)
+    rivals = {}
+    for path in td3_runs:
+        rival = load_run(path)
+        rivals[str(path)] = Pilot(path, rival, rival.champion)
+    if TD3 in names(population):
+        rivals[f"within {run.name}"] = Pilot(run, population, names(population).index(TD3))
+    if not rivals:
+        raise UserError(f"{run}: no member '{TD3}'; name a run of TD3 alone with --td3")
+    return Contest(run, population, rivals, bool(td3_runs))
 
 
-def flights(cases: tuple[Case, ...], trials: Trials, few: Trials, contest: Contest) -> int:
+def flights(who: Contest, cases: tuple[Case, ...], trials: Trials, few: Trials) -> int:
     """Return how many flights the table takes when everything is flown."""
-    genetic = sum(name != TD3 for name in names(contest.population))
-    return len(cases) * (3 * trials.total + genetic * few.total)
+    return len(cases) * (3 * trials.total + len(who.genetic) * few.total) + len(who.rivals) * trials.total
 
 
 def fly_contest(
-    contest: Contest, cases: tuple[Case, ...], trials: Trials, few: Trials, progress: Progress
-) -> dict[str, CaseScores]:
-    """Fly champion, TD3 actor and re-picked members on ``trials``, the population on ``few`` of them."""
-    fleet, population = CaseFleet(), contest.population
-    store = contest.run / STORE
-    genetic = [i for i, name in enumerate(names(population)) if name != TD3]
-    home, rival, row = contest.td3
+    who: Contest, cases: tuple[Case, ...], trials: Trials, few: Trials, progress: Progress
+) -> tuple[dict[str, CaseScores], dict[str, Scores]]:
+    """Fly champion, TD3 actor and re-picked members on ``trials``, the population on ``few`` of them.
+
+    Return their scores by case, and the nominal scores of every TD3 actor.
+    """
+    fleet, population = CaseFleet(), who.population
+    champion = Pilot(who.run, population, population.champion)
+    blocks = [who.genetic[i : i + ABREAST] for i in range(0, len(who.genetic), ABREAST)]
     scores = {}
     for case in cases:
-
-        def one(i: int, of: Population = population, at: Path = store, case: Case = case) -> Scores:
-            return fly_once(at, fleet, case, of.network, of.parameters[i : i + 1], trials, progress)
-
-        blocks = [genetic[i : i + BLOCK] for i in range(0, len(genetic), BLOCK)]
         flown = join(
-            [fly_once(store, fleet, case, population.network, population.parameters[b], few, progress) for b in blocks],
+            [
+                fly_once(who.run / STORE, fleet, case, population.network, population.parameters[b], few, progress)
+                for b in blocks
+            ],
             axis=0,
         )
         ranking = flown.ranking()
         survivors = np.isfinite(ranking).any()
-        repicked = genetic[int(np.argmin(ranking if survivors else flown.nmae.mean(axis=1)))]
+        repicked = who.genetic[int(np.argmin(ranking if survivors else flown.nmae.mean(axis=1)))]
         scores[case.name] = CaseScores(
-            champion=one(population.champion),
-            repicked=one(repicked),
+            champion=champion.fly(fleet, case, trials, progress),
+            repicked=champion._replace(row=repicked).fly(fleet, case, trials, progress),
             repicked_name=names(population)[repicked],
-            td3=one(row, rival, store if home is None else home / STORE),
+            td3=who.td3.fly(fleet, case, trials, progress),
             population=flown,
             unseen=[e for e in range(trials.total) if e not in few.chosen],
         )
-    return scores
+    rivals = {name: pilot.fly(fleet, CASES[0], trials, progress) for name, pilot in who.rivals.items()}
+    return scores, rivals
 
 
-def rivals_scores(contest: Contest, trials: Trials, progress: Progress) -> dict[str, Scores]:
-    """Return the nominal scores of every TD3 actor: of the runs given and within the population."""
-    fleet, population = CaseFleet(), contest.population
-    found = {
-        name: fly_once(
-            Path(name) / STORE,
-            fleet,
-            CASES[0],
-            rival.network,
-            rival.parameters[rival.champion : rival.champion + 1],
-            trials,
-            progress,
-        )
-        for name, rival in contest.rivals.items()
-    }
-    if TD3 in names(population):
-        i = names(population).index(TD3)
-        found[f"within {contest.run.name}"] = fly_once(
-            contest.run / STORE,
-            fleet,
-            CASES[0],
-            population.network,
-            population.parameters[i : i + 1],
-            trials,
-            progress,
-        )
-    return found
-
-
-def _notes(contest: Contest, scores: Mapping[str, CaseScores], trials: Trials, few: Trials) -> list[str]:
-    home = contest.td3[0]
+def _notes(who: Contest, scores: Mapping[str, CaseScores], trials: Trials, few: Trials) -> list[str]:
     unseen = len(next(iter(scores.values())).unseen)
     part = f"the first {few.until:g} s of " if few.until else ""
     return [
-        f"Champion {contest.population.description.champion}: picked once, by nominal validation references that are "
+        f"Champion {who.population.description.champion}: picked once, by nominal validation references that are "
         "not among these. Champion and TD3 actor flew the same "
         f"{trials.total} references of {trials.duration:g} s ({trials.each} of each seed).",
         f"The population flew {part}{few.total} of them; the re-picked champion is the member with the lowest nMAE "
         f"there, and its figure is of the {unseen} others.",
         "TD3 actor: "
-        + (f"trained alone ({home}), of the runs given the best by its validation." if home else "within the run."),
+        + (f"trained alone ({who.td3.run}), of the runs given the best by its validation." if who.alone else "within."),
         "± is the standard deviation over references (champion, TD3), over members (average).",
         "nMAE by the definition of the published experiments (task.metrics), of the true state, over the flown part "
         "where a flight is lost.",
         "Lowest: significantly lower than both others by the thesis's t-test (p < 0.05); its thesis counterpart is "
         "what table 7.1 prints bold. The intervals are paired over references.",
+        "The time is that of the last start; flights kept from earlier ones are not in it.",
         "The thesis flew its own plant (DASMAT) with its own references; its champion was probably re-picked per case.",
     ]
 
@@ -185,12 +186,9 @@ def table71(
     few = trials._replace(first=population_references, until=population_seconds)
     if few.total < population_references:
         raise UserError(f"--population-references: expected at most {trials.total}, {references} of each seed")
-    contest = Contest(run, load_run(run), {str(path): load_run(path) for path in td3_runs})
-    if not td3_runs and TD3 not in names(contest.population):
-        raise UserError(f"{run}: no member '{TD3}'; name a run of TD3 alone with --td3")
-    with flights_progress(flights(chosen, trials, few, contest)) as progress:
-        scores = fly_contest(contest, chosen, trials, few, progress)
-        rivals = rivals_scores(contest, trials, progress)
+    who = contest(run, td3_runs)
+    with flights_progress(flights(who, chosen, trials, few)) as progress:
+        scores, rivals = fly_contest(who, chosen, trials, few, progress)
     tables = [
         nmae_table(scores),
         significance_table(scores),
@@ -216,7 +214,7 @@ def table71(
             seeds=list(SEEDS),
             claims=claims(scores),
             tables=tables,
-            notes=_notes(contest, scores, trials, few),
+            notes=_notes(who, scores, trials, few),
         ),
     )
     with picture(name) as figure:
