@@ -1,8 +1,8 @@
-"""The thesis's verifications of section 9.2 and 9.3 again, on our plant.
+"""The thesis's verifications of section 9.2 and 9.3 again, on our plant; and the learners on the pendulum.
 
-``python -m bench.verification --pitch runs/pitch_td3`` gives the aircraft an elevator step, flies the three tuned PIDs
-through the base case, flies the pitch-only TD3 agent beside the pitch PID, and writes ``results/verification.json`` and
-``docs/img/verification_*.png``. ``understudy train pitch_td3`` trains the agent first.
+``python -m bench.verification`` gives the aircraft an elevator step, flies the three tuned PIDs through the base case,
+flies the pitch-only TD3 agent beside the pitch PID, swings the pendulum up, and writes ``results/verification.json``
+and ``docs/img/verification_*.png``. ``understudy train`` of pitch_td3, pendulum_ddpg and pendulum_pderl comes first.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import click
 import numpy as np
 from scipy.optimize import curve_fit
 
-from bench.verification_figures import draw_learning, draw_pids, draw_step
+from bench.verification_figures import draw_learning, draw_pendulum, draw_pids, draw_step
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import GymnasiumRollouts
 from export.training.gymnasium_run import BANDS, load_agents, read_bands
@@ -24,6 +24,7 @@ from export.verification.pitch import ID, PitchEnv
 from runtime.laws.catalogue import load_settings, make_law
 from scenarios.figures import save
 from sim_bridge.plant import Plant
+from task.errors import UserError
 from task.limits import DT
 from task.metrics import channel_nmae
 from task.observation import tracking_error
@@ -43,6 +44,17 @@ THESIS_RETURN = (-30.0, 6.6)
 """Episodic return of the thesis's agent: mean and deviation."""
 SEED = 9
 """Of the references on which agent and PID are compared."""
+
+
+PENDULUM = {"DDPG": "#D55E00", "PDERL": "#0072B2"}
+"""Who swings the pendulum, and their colours."""
+PENDULUM_SOLVED = -200.0
+"""Mean return from which on the pendulum counts as swung up and held; the best there is depends on the start."""
+
+
+def seeds(count: int) -> np.ndarray:
+    """Return the seeds of ``count`` episodes of the tests, (count,) int64."""
+    return np.random.default_rng(SEED).integers(2**31, size=count)
 
 
 class Phugoid(NamedTuple):
@@ -163,7 +175,7 @@ def fly_agent(folder: Path, tasks: np.ndarray) -> Agent:
     """Fly the champion of a run on the episodes of the seeds ``tasks``."""
     population = load_agents(folder)
     if population.network.observation != len(PitchEnv().observation_space.sample()):
-        raise click.BadParameter(f"{folder} holds no agent of pitch alone", param_hint="--pitch")
+        raise UserError(f"{folder}: expected an agent of pitch alone; train it with 'understudy train pitch_td3'")
     rollouts = GymnasiumRollouts(EnvironmentSettings(id=ID))
     flights = rollouts.fly(population.network, population.parameters[[population.champion]], tasks)
     error = np.where(flights.flown(), np.abs(flights.observation[1:, ..., 0]), 0.0).sum(axis=0) / flights.length
@@ -174,6 +186,13 @@ def fly_agent(folder: Path, tasks: np.ndarray) -> Agent:
         flights.observation[:, 0, 0, 0],
         population.description.training,
     )
+
+
+def swing(folder: Path, tasks: np.ndarray) -> np.ndarray:
+    """Return the returns (E,) of a run's champion on the pendulum."""
+    population = load_agents(folder)
+    rollouts = GymnasiumRollouts(EnvironmentSettings(id="Pendulum-v1"))
+    return rollouts.fly(population.network, population.parameters[[population.champion]], tasks).returns()[0]
 
 
 def claims(states: np.ndarray, phugoid: Phugoid, flown: Tracked, agent: Agent, pid: np.ndarray) -> list[Claim]:
@@ -246,15 +265,17 @@ def claims(states: np.ndarray, phugoid: Phugoid, flown: Tracked, agent: Agent, p
 
 
 @click.command()
-@click.option("--pitch", type=click.Path(path_type=Path), default=Path("runs/pitch_td3"), show_default=True)
-@click.option("--episodes", type=click.IntRange(1), default=50, show_default=True, help="Of the pitch-only agent.")
-def main(pitch: Path, episodes: int) -> None:
+@click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Trained.")
+@click.option("--episodes", type=click.IntRange(1), default=50, show_default=True, help="Of each agent's test.")
+def main(runs: Path, episodes: int) -> None:
     """Verify plant, PIDs and gradient learner as the thesis's chapter 9 does."""
     began = time.monotonic()
+    pitch = runs / "pitch_td3"
+    pendulum = {name: swing(runs / f"pendulum_{name.lower()}", seeds(episodes)) for name in PENDULUM}
     states = elevator_step()
     phugoid = fit_phugoid(states[n_samples(SETTLED) :, STATE.V])
     flown = fly_pids()
-    tasks = np.random.default_rng(SEED).integers(2**31, size=episodes)
+    tasks = seeds(episodes)
     agent = fly_agent(pitch, tasks)
     pid, pid_error = pitch_pid(tasks)
     points = read_bands(pitch / BANDS)
@@ -263,14 +284,25 @@ def main(pitch: Path, episodes: int) -> None:
     save(draw_step(states, STEP_AT, title), pictures / "verification_elevator_step.png")
     save(draw_pids(*flown), pictures / "verification_pid.png")
     save(draw_learning(points, pid, THESIS_RETURN[0]), pictures / "verification_pitch_td3.png")
+    curves = {name: read_bands(runs / f"pendulum_{name.lower()}" / BANDS) for name in PENDULUM}
+    save(draw_pendulum(curves, PENDULUM), pictures / "verification_pendulum.png")
     training = agent.training
     result = Result(
         title="Verification: plant, PIDs, gradient learner",
-        command="understudy train pitch_td3 && python -m bench.verification",
+        command="python -m bench.verification",
         seconds=round(time.monotonic() - began, 1),
-        runs=2 + 2 * episodes,
+        runs=2 + (2 + len(PENDULUM)) * episodes,
         seeds=[SEED, training["seed"]],
-        claims=claims(states, phugoid, flown, agent, pid),
+        claims=claims(states, phugoid, flown, agent, pid)
+        + [
+            Claim(
+                claim=f"pendulum, {name}: mean return",
+                value=round(float(returns.mean()), 1),
+                target=f"{PENDULUM_SOLVED:.0f} or more",
+                holds=bool(returns.mean() >= PENDULUM_SOLVED),
+            )
+            for name, returns in pendulum.items()
+        ],
         tables=[
             Table(
                 title=f"Pitch alone: {episodes} episodes of 20 s that training has not seen",

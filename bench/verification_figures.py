@@ -74,3 +74,18 @@ def draw_learning(points: list[Point], pid: np.ndarray, thesis: float) -> Figure
         axes.set(xlabel="frames [thousand]", ylabel="return of 20 s", ylim=(max(float(mean.min()), -400.0), 5.0))
         axes.legend(loc="lower right")
         return figure
+
+
+def draw_pendulum(curves: dict[str, list[Point]], colours: dict[str, str]) -> Figure:
+    """Draw who learns to swing the pendulum up, and when: champions on the validation episodes."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+        axes = figure.subplots()
+        for name, points in curves.items():
+            x = np.array([p.frames for p in points]) / 1e3
+            mean, sd = np.array([p.champion for p in points]), np.array([p.champion_sd for p in points])
+            axes.plot(x, mean, color=colours[name], label=name)
+            axes.fill_between(x, mean - sd, mean + sd, color=colours[name], alpha=0.15, lw=0)
+        axes.set(xlabel="frames [thousand]", ylabel="return of an episode", xlim=(0.0, None), ylim=(-1700.0, 0.0))
+        axes.legend(loc="lower right")
+        return figure

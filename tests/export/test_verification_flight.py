@@ -113,8 +113,10 @@ def test_the_pitch_pid_tracks() -> None:
 def test_the_verification_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pitch.toml").write_text(CONFIG)
-    run = CliRunner().invoke(train, ["pitch.toml", "--out", "runs/pitch_td3"], catch_exceptions=False)
-    assert run.exit_code == 0, run.output
+    (tmp_path / "pendulum.toml").write_text(CONFIG.replace(ID, "Pendulum-v1"))
+    for config, out in (("pitch", "pitch_td3"), ("pendulum", "pendulum_ddpg"), ("pendulum", "pendulum_pderl")):
+        run = CliRunner().invoke(train, [f"{config}.toml", "--out", f"runs/{out}"], catch_exceptions=False)
+        assert run.exit_code == 0, run.output
     done = CliRunner().invoke(verification.main, ["--episodes", "1"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     measured = results.read(tmp_path / "results" / "verification.json")
@@ -122,5 +124,6 @@ def test_the_verification_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert holds["elevator +0.5 deg: pitch one second later"]
     assert holds["elevator +0.5 deg: period of the phugoid over Lanchester's"]
     assert holds["PIDs: overshoot of the worst step in theta, of its size"]
+    assert not holds["pendulum, DDPG: mean return"]
     assert not holds["pitch-only TD3: mean return of 20 s"]  # it has learnt nothing in three seconds of flight
-    assert len(list((tmp_path / "docs" / "img").glob("verification_*.png"))) == 3
+    assert len(list((tmp_path / "docs" / "img").glob("verification_*.png"))) == 4

@@ -176,7 +176,7 @@ def test_the_measurement_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert done.exit_code == 0, done.output
     measured = results.read(tmp_path / "results" / "lunar_lander.json")
     cases, repertoires, picks = measured.tables
-    assert [row[0] for row in cases.rows[::3]] == ["PDERL champion", "PDERL's learner", "DDPG", "CMA-ME champion"]
+    assert [row[0] for row in cases.rows[::3]] == ["PDERL champion", "DDPG", "CMA-ME champion"]
     assert len(repertoires.rows) == 6
     assert repertoires.rows[0][2] == 3
     assert len(picks.rows) == 4
