@@ -132,8 +132,11 @@ def train(
     if trainer.curve:
         console.print(f"resumed at generation {trainer.curve[-1].generation}, frame {trainer.frames:,}")
     progress, stop = _Progress(settings, console, trainer.frames), _Interrupt()
-    returns = gymnasium_run.run(trainer, folder, progress, stop) if rollouts else None
-    scores = None if rollouts else run(trainer, folder, progress, stop)
+    try:
+        returns = gymnasium_run.run(trainer, folder, progress, stop) if rollouts else None
+        scores = None if rollouts else run(trainer, folder, progress, stop)
+    finally:
+        trainer.close()
     if returns is not None:
         _show_returns(console, settings, returns, folder)
     elif scores is not None:

@@ -29,8 +29,7 @@ class Order(NamedTuple):
 
 def _serve(pipe: Connection, settings: TaskSettings, discount_penalty: bool) -> None:
     """Fly what is ordered until the other end of the pipe is gone."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # who orders decides when to stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C reaches both; who orders decides when to stop
     rollouts = CitationRollouts(settings, discount_penalty)
     try:
         while True:

@@ -240,6 +240,28 @@ def test_flights_in_a_worker_change_nothing(tmp_path: Path) -> None:
     torch.testing.assert_close(ends[0][1], ends[1][1], rtol=0, atol=0)
 
 
+def test_a_run_killed_while_its_worker_flies_goes_on(tmp_path: Path) -> None:
+    config = tmp_path / "overlapping.toml"
+    config.write_text(as_toml(overlapping()))
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    invoke(config, "--out", whole, "--workers", 0)
+    code = "from export.training.cli import train; train()"
+    process = subprocess.Popen([sys.executable, "-c", code, str(config), "--out", str(broken)], stdout=subprocess.PIPE)
+    curve = broken / "learning_curve.csv"
+    while process.poll() is None and not (curve.exists() and len(curve.read_text().splitlines()) > 2):
+        time.sleep(0.002)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    flying = [int(child) for child in children.read_text().split()] if children.exists() else []
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 20.0
+    while any(Path(f"/proc/{child}").exists() for child in flying) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(Path(f"/proc/{child}").exists() for child in flying), "the worker outlives the run"
+    invoke(config, "--out", broken)
+    np.testing.assert_array_equal(members(broken), members(whole))
+
+
 @pytest.mark.parametrize("workers", [0, 1])
 def test_resumed_while_a_generation_flies_equals_uninterrupted(workers: int, tmp_path: Path) -> None:
     whole = Trainer(overlapping(), CPU)
