@@ -110,6 +110,10 @@ def main(
         records, information, where = stored.records, stored.information, out or parquet.parent
         spent = read(file).seconds if (file := parquet.with_suffix(".json")).exists() else 0.0
     else:
+        command = command_line({
+            "--suite": suites, "--fault": faults, "--half": half, "--references": str(count),
+            "--population": population, "--rows": rows or (), "--row": extra, "--ours": ours, "--robust": robust or (),
+        }) + " --quick" * quick  # fmt: skip
         if quick:
             faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
         folder = find_population(population)
@@ -123,14 +127,9 @@ def main(
             click.echo(f"understudy: stopped; what was flown is kept in {where}, the same command goes on", err=True)
             raise SystemExit(INTERRUPTED) from None
         records, spent = [r for d in done for r in d.records], sum(d.seconds for d in done) / jobs
-        options: dict[str, str | tuple[str, ...]] = {
-            "--suite": suites, "--fault": () if quick else faults, "--half": half, "--population": population,
-            "--references": () if quick else str(count), "--rows": (rows or ()) if not quick else (), "--row": extra,
-            "--ours": ours, "--robust": robust or (),
-        }  # fmt: skip
         information = {
             "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
-            "command": command_line(options) + " --quick" * quick,
+            "command": command,
         }  # fmt: skip
         write_parquet(records, where / "campaign.parquet", information)
         screen.print("[dim]" + cost(done) + "[/]")
