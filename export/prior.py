@@ -12,7 +12,7 @@ from task.config import Settings
 from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.observation import observation
-from task.reference import random_reference
+from task.reference import FamilyName, random_reference
 from task.reward import terminated
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, OBSERVATION, STATE
 
@@ -33,6 +33,8 @@ class PriorSettings(Settings, frozen=True):
     """Root mean square of the excitation on each surface [rad]."""
     band: tuple[float, float] = (0.1, 4.0)
     """Lowest and highest frequency of the excitation [Hz]."""
+    family: FamilyName = "evaluation"
+    """Family of references that the flights follow."""
     samples: float = 1000.0
     """How many samples of such flights the prior counts for: P0 = (samples E[z z'])^-1."""
     seed: int = 0
@@ -82,7 +84,7 @@ def excited_flight(
     """Fly one reference with the excitation added; return states (T + 1, 10) and commands (T, 3) [rad]."""
     state = plant.reset(condition)
     trim = plant.trim
-    reference = random_reference(rng, settings.duration, float(trim.x[STATE.theta]))
+    reference = random_reference(rng, settings.duration, float(trim.x[STATE.theta]), settings.family)
     excitation = multisine(rng, reference.shape[0], settings)
     states, commands = [state[:N_IDENTIFIED].copy()], []
     for target, extra in zip(reference, excitation, strict=True):

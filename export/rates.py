@@ -10,6 +10,7 @@ from sim_bridge.plant import Plant
 from task.config import Settings
 from task.limits import DT
 from task.rates import N_FEATURES, RateModel, dynamic_pressure, effect_terms, features, shapes, washout
+from task.reference import FamilyName
 from task.state import N_IDENTIFIED, STATE
 
 
@@ -25,8 +26,11 @@ class RateSettings(Settings, frozen=True):
         FlightCondition(altitude=6000.0, speed=120.0),
     )
     """Trims whose flights are pooled: the corners of the envelope and between them."""
+    families: tuple[FamilyName, ...] = ("evaluation", "aggressive")
+    """Families of references. Without the aggressive ones a hard manoeuvre leaves what the fit has seen, and looks like
+    a fault there."""
     flights: int = 2
-    """Flights at each trim, each with its own random evaluation reference and excitation."""
+    """Flights of each family at each trim, each with its own random reference and excitation."""
     duration: float = 40.0
     """Length of each flight [s]."""
     amplitude: float = float(np.deg2rad(0.7))
@@ -75,12 +79,13 @@ def fit(flights: list[tuple[np.ndarray, np.ndarray]], whitening: float) -> RateM
 def rate_model(settings: RateSettings | None = None, lag: int = COMMAND_LAG) -> RateModel:
     """Fly the healthy plant over the envelope and return its rate model."""
     settings = settings or RateSettings()
-    flying = PriorSettings(duration=settings.duration, amplitude=settings.amplitude)
     plant = Plant()
     rng = np.random.default_rng(settings.seed)
     flights = []
-    for condition in settings.conditions:
-        for _ in range(settings.flights):
-            states, commands = excited_flight(plant, rng, condition, flying)
-            flights.append(regression(states[:, :N_IDENTIFIED], commands, lag))
+    for family in settings.families:
+        flying = PriorSettings(duration=settings.duration, amplitude=settings.amplitude, family=family)
+        for condition in settings.conditions:
+            for _ in range(settings.flights):
+                states, commands = excited_flight(plant, rng, condition, flying)
+                flights.append(regression(states[:, :N_IDENTIFIED], commands, lag))
     return fit(flights, settings.whitening)

@@ -98,8 +98,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness: NotNegative = 2e-4
     """Drift of lambda that is allowed for, each sample [-]: 0.02 in 100 s."""
 
-    q_effectiveness_open: NotNegative = 0.02
-    """The same while the filter is open [-]: lambda may still move by 0.2 in a second."""
+    q_effectiveness_open: NotNegative = 0.01
+    """The same while the filter is open [-]: lambda may still move by 0.1 in a second."""
 
     q_bias: tuple[Positive, Positive, Positive] = (6e-4, 2e-3, 4e-4)
     """Drift of the bias b that is allowed for on p, q, r, each sample [rad/s2]: thrust, trim and the centre of gravity
@@ -108,6 +108,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     model_error: NotNegative = 0.3
     """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
     wrong [-]; added to the drift of the bias, so that hard manoeuvres alarm no more than gentle ones."""
+
+    stall_error: NotNegative = 300.0
+    """Growth of the bias's drift with the angle of attack above 8 degrees, where the lift curve bends [1/rad]: by 5 a
+    degree. The rate model knows one bend there, the aircraft has many."""
 
     effectiveness_sd: Positive = 0.05
     """Standard deviation of lambda about 1 at the start of a flight [-]."""
@@ -130,14 +134,16 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     effectiveness_limit: Positive = 2.5
     """Largest abs(lambda) that is imagined [-]: a surface that hardly moves tells little of its effectiveness."""
 
-    alarm_threshold: Positive = 120.0
+    alarm_threshold: Positive = 75.0
     """Alarm when five normalised innovations squared add up to more than this. With a right model the sum is
-    chi-squared with 15 degrees of freedom: 60 is exceeded twice in 10 million samples."""
+    chi-squared with 15 degrees of freedom and reaches 60 twice in 10 million samples."""
 
-    alarm_shift: Positive = 20.0
-    """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]: a
-    surface that fails while it is little used surprises no single sample. Aggressive flight of a healthy aircraft
-    reaches 16."""
+    alarm_colour: NotNegative = 0.15
+    """The threshold grows by this share for each e-fold of the bias's drift that turbulence asks for [-]: gusts are not
+    quite a random walk. Light turbulence doubles the threshold."""
+
+    alarm_shift: Positive = 40.0
+    """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]."""
 
     shift_time: Positive = 5.0
     """Time constant of the bias's running mean [s]."""
@@ -149,11 +155,12 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Time constant with which the drift of each axis's bias follows turbulence [s]: it is raised until the normalised
     innovations squared are 1 on average, so that the thresholds keep their meaning."""
 
-    q_effectiveness_agile: NotNegative = 0.005
-    """Drift of lambda, each sample, of the filter that looks whether a surface has changed [-]."""
+    q_effectiveness_agile: NotNegative = 0.01
+    """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: Positive = 25.0
-    """Alarm when that filter explains the rates better than the believed one by so much [nats], with forgetting."""
+    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 20.0, 15.0)
+    """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
+    by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
     delays: tuple[NotNegative, ...] = (0.05, 0.10, 0.15)
     """Delays of the commands that may be found, beyond the population's ``command_lag`` [s]."""
@@ -164,7 +171,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     delay_memory: Fraction = 0.98
     """Forgetting of the log-likelihoods of delays, crossed commands and the agile filter, each sample [-]."""
 
-    delay_lead: Positive = 14.0
+    delay_lead: Positive = 16.0
     """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]."""
 
     belief_sd: NotNegative = 2.0

@@ -79,14 +79,16 @@ class Inputs:
 class Evidence:
     """Log-likelihoods of the hypotheses with forgetting, and the one that is believed.
 
-    ``lead`` (M,): how far each is behind the best, at most ``cap`` [nats], 0 for the best. Another hypothesis is
-    believed when it leads the believed one by ``needed`` for ``HOLD`` samples.
+    Another hypothesis is believed when it leads the believed one by ``needed`` [nats] for ``HOLD`` samples.
     """
 
     HOLD = 3
+    SAYS = 1.0
+    """The most that one sample says against a hypothesis [nats]: where the model is wrong for a moment, as at the
+    stall, all are surprised, and which of them the least is chance."""
 
     def __init__(self, size: int, memory: float, needed: float) -> None:
-        self._memory, self._needed, self._cap = memory, needed, 2.0 * needed
+        self._memory, self._needed = memory, needed
         self._size = size
         self.reset()
 
@@ -104,10 +106,14 @@ class Evidence:
 
     def weigh(self, log_likelihood: list[float]) -> bool:
         """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""
-        score = [new - self._memory * behind for new, behind in zip(log_likelihood, self.behind, strict=False)]
+        most = max(log_likelihood)
+        score = [
+            max(new - most, -self.SAYS) - self._memory * behind
+            for new, behind in zip(log_likelihood, self.behind, strict=True)
+        ]
         top = max(score)
         best = score.index(top)
-        self.behind = [min(top - each, self._cap) for each in score]
+        self.behind = [min(top - each, self._needed + self.SAYS) for each in score]
         self._held = self._held + 1 if best == self.best and self.behind[self.believed] > self._needed else 0
         self.best = best
         if self._held < self.HOLD:

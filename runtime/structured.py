@@ -1,8 +1,8 @@
 """Which way, how strongly and how late each surface works: a bank of filters, the alarm, and what is believed.
 
-The filters are :mod:`runtime.rate_filter`, what they differ in :mod:`runtime.hypotheses`. One more filter, the agile
-one, has the believed hypothesis's commands and lets lambda move: when it explains the rates better than the others,
-whose lambda is nearly fixed, then a surface has changed, however little it is used.
+The filters are :mod:`runtime.rate_filter`, what they differ in :mod:`runtime.hypotheses`. One more filter for each
+surface, an agile one, has the believed hypothesis's commands and lets that surface's lambda move: when it explains the
+rates better than the believed one, whose lambda is nearly fixed, the surface has changed, however little it is used.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from runtime.rate_filter import LAMBDA, B, N, RateFilters, W
 from runtime.unrest import Unrest
 from task.limits import DT
 from task.model import with_effectiveness
-from task.rates import RATES, RateModel, washout
+from task.rates import KNEE, RATES, RateModel, washout
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
 
@@ -30,7 +30,7 @@ class Effectiveness:
     WINDOW = 5
     """Samples that the alarm sums."""
     HOLD = 3
-    """Samples for which the agile filter must lead."""
+    """Samples for which an agile filter must lead."""
     BEYOND = 1e9
     """Largest normalised innovation; what is more, or no number, counts as this."""
 
@@ -39,9 +39,10 @@ class Effectiveness:
         self.hypotheses = hypotheses(settings.delays, settings.crossed, dt)
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
-        self.filter = RateFilters(model, self._agile + 1, dt)
+        """Row of the first agile filter."""
+        self.filter = RateFilters(model, self._agile + N_ACTION, dt)
         self._inputs = Inputs(self.hypotheses, command_lag)
-        self._u = np.zeros((self._agile + 1, N_ACTION))
+        self._u = np.zeros((self._agile + N_ACTION, N_ACTION))
         self._dt = dt
         self._open_at = max(round(settings.open_after / dt), 1)
         self._close_at = self._open_at + max(round(settings.open_time / dt), 1)
@@ -62,9 +63,10 @@ class Effectiveness:
         self.reset()
 
     def _process(self, rate: float, effectiveness: float) -> np.ndarray:
-        q = np.zeros((self._agile + 1, N))
+        q = np.zeros((self._agile + N_ACTION, N))
         q[:, W], q[:, LAMBDA] = rate**2, effectiveness**2
-        q[self._agile, LAMBDA] = max(effectiveness, self.settings.q_effectiveness_agile) ** 2
+        agile = q[self._agile :, LAMBDA]
+        np.fill_diagonal(agile, max(effectiveness, self.settings.q_effectiveness_agile) ** 2)
         return q
 
     def reset(self) -> None:
@@ -77,8 +79,8 @@ class Effectiveness:
         self.shift = 0.0
         """How far the bias is from its running mean, in standard deviations."""
         self._mean_bias = [0.0] * RATES
-        self.agile_lead = 0.0
-        """By how much the agile filter leads the believed one [nats]."""
+        self.agile_lead = [0.0] * N_ACTION
+        """By how much each surface's agile filter leads the believed one [nats]."""
         self.alarms = self.restarts = 0
         self._since = self._close_at + self._hold
         self.restart_history()
@@ -164,7 +166,7 @@ class Effectiveness:
             f.r = self.unrest.noise_variance
             if f.update(x[W]):
                 self._weigh()
-                self._judge(min(self.surprise, self.BEYOND), x[W])
+                self._judge(x[W])
                 self._believe()
             else:
                 self.restarts += 1
@@ -208,14 +210,15 @@ class Effectiveness:
         f, levels, x = self.filter, self.unrest.levels, self._x
         r = x[STATE.r]
         self._u[: self._agile] = self._inputs.take()
-        self._u[self._agile] = self._u[self.evidence.believed]
+        self._u[self._agile :] = self._u[self.evidence.believed]
         f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u)
         self._low_passed = washout(self._low_passed, r, self._dt)
         f.q[:] = self._q
         drift = f.drift_step.tolist()
         share = self.settings.model_error / self._dt
+        near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, 0.0)) ** 2
         f.q[:, B] = [
-            least * level + (share * (new - old)) ** 2
+            least * level * near_stall + (share * (new - old)) ** 2
             for least, level, new, old in zip(self._least_q_bias, levels, drift, self._drift or drift, strict=True)
         ]
         self._drift = drift
@@ -231,18 +234,22 @@ class Effectiveness:
     def _weigh(self) -> None:
         """Weigh the hypotheses, and whether lambda moves."""
         f, evidence = self.filter, self.evidence
-        agile, believed = self._agile, evidence.believed
-        gained = f.log_likelihood[agile] - f.log_likelihood[believed]
-        self.agile_lead = max(self.settings.delay_memory * self.agile_lead + gained, 0.0)
-        self.unrest.feel(f.surprise[agile if self.agile_lead > evidence.behind[believed] else evidence.best])
+        agile, believed, memory = self._agile, evidence.believed, self.settings.delay_memory
+        known, *moving = f.log_likelihood[evidence.best], *f.log_likelihood[agile:]
+        self.agile_lead = [
+            max(memory * lead + new - known, 0.0) for lead, new in zip(self.agile_lead, moving, strict=True)
+        ]
+        lead = max(self.agile_lead)
+        explains = agile + self.agile_lead.index(lead) if lead > evidence.behind[believed] else evidence.best
+        self.unrest.feel(f.surprise[explains])
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._since < self._open_at:
-            self.agile_lead = 0.0
+            self.agile_lead = [0.0] * N_ACTION
         elif evidence.weigh(f.log_likelihood[:agile]):
             self.alarmed = True
-            self.agile_lead = 0.0
+            self.agile_lead = [0.0] * N_ACTION
             np.copyto(self.believed, self.effectiveness)
-            f.s[agile], f.P[agile] = f.s[evidence.believed], f.P[evidence.believed]
+            f.s[agile:], f.P[agile:] = f.s[evidence.believed], f.P[evidence.believed]
 
     def _believe(self) -> None:
         """Move what is believed of lambda as far as the estimate asks for."""
@@ -272,10 +279,10 @@ class Effectiveness:
         self.shift = math.sqrt(shifted)
         return shifted
 
-    def _judge(self, nis: float, w: np.ndarray) -> None:
-        """Raise the alarm; open the filters after it, and close them again."""
+    def _judge(self, w: np.ndarray) -> None:
+        """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
         settings, f = self.settings, self.filter
-        self._nis[self._states % self.WINDOW] = nis
+        self._nis[self._states % self.WINDOW] = min(f.nis[self.evidence.best], self.BEYOND)
         self._since += 1
         if self._since == self._open_at:
             f.s[:] = f.s[self.evidence.believed]
@@ -289,12 +296,14 @@ class Effectiveness:
             self._start_anew(settings.effectiveness_sd)
             f.s[:, W] = w
         shifted = self._learn_shift()
-        self._led = self._led + 1 if self.agile_lead > settings.agile_lead else 0
+        colour = 1.0 + settings.alarm_colour * math.log(max(self.unrest.levels))
+        moved = any(lead > colour * need for lead, need in zip(self.agile_lead, settings.agile_lead, strict=True))
+        self._led = self._led + 1 if moved else 0
         if not self.unrest.known or self._since <= self._hold:
             return
-        surprised = sum(self._nis) > settings.alarm_threshold
+        surprised = sum(self._nis) > settings.alarm_threshold * colour
         if surprised or shifted > settings.alarm_shift**2 or self._led >= self.HOLD:
             self.alarmed = True
             self.alarms += 1
-            self.agile_lead = 0.0
+            self.agile_lead = [0.0] * N_ACTION
             self._since = 0
