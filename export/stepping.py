@@ -12,7 +12,7 @@ and [x; dx] = E L: the weights of the products are in E, so that no node of the 
 all that a step needs. Angle sums turn products of sines into sums of sines, whose arguments are linear too.
 
 Altitude and heading do not feed back into the rest when kinematics are exact; altitude is integrated after the loop, at
-once for all steps (:func:`altitude`), and heading is nobody's business.
+once for all steps (:mod:`export.imagination`), and heading is nobody's business.
 """
 
 from __future__ import annotations
