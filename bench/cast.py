@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Mapping
@@ -21,25 +20,17 @@ import msgspec
 import numpy as np
 
 from bench.cast_tables import Cell, Measured, coverage_picture, result
-from bench.laws import WorldLink
 from export.cast.cases import EASY, Case
 from export.cast.config import CastSettings
 from export.cast.flights import Flown, Stage, Trial
 from export.network import Network
-from runtime.config import resolve
-from runtime.laws.catalogue import LawName, load_solo
-from runtime.loop import Outcome
-from runtime.reference import RecordedReference
-from runtime.session import Session
-from sim_bridge.flight import Flight
+from runtime.laws.catalogue import LawName, load_settings, make_law
 from task.config import Settings, convert, load_json, read_bytes, to_json
 from task.errors import UserError
-from task.limits import DT
-from task.metrics import nmae, smoothness
-from task.observation import tracking_error
+from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.reference import random_reference
 from task.results import write
-from task.state import STATE
+from task.state import N_REFERENCE, STATE
 
 PEERS: tuple[LawName, ...] = ("pid", "indi", "indi-rls-signfree")
 PICTURE = Path("docs/img/cast_coverage.png")
@@ -78,9 +69,9 @@ class Folder:
 class Bench:
     """The cast, its specialists and its peers on one stage."""
 
-    def __init__(self, cast: Folder, serl: Folder, protocol: Protocol, logs: Path) -> None:
-        """``logs``: where the laws' flights are logged; nobody reads them."""
-        self.cast, self.serl, self.protocol, self._logs = cast, serl, protocol, logs
+    def __init__(self, cast: Folder, serl: Folder, protocol: Protocol) -> None:
+        """Raises UserError for a population that ``export.cast`` did not make."""
+        self.cast, self.serl, self.protocol = cast, serl, protocol
         training = cast.training
         if "bred" not in training:
             raise UserError("the population's manifest has no 'training.bred'; give one that 'export.cast' made")
@@ -110,40 +101,41 @@ class Bench:
         chosen = self.for_case[case.name]
         names = list(dict.fromkeys([self.cast.members[self.cast.champion], chosen]))
         pilots = {name: self.cast.parameters[self.cast.members.index(name)] for name in names}
-        if case.name in self.specialists:
-            pilots["specialist"] = self.specialists[case.name]
+        specialist = self.specialists.get(case.name)
+        if specialist is not None and case.name != chosen:
+            pilots["specialist"] = specialist
         flown = self.stage.fly(self.cast.network, np.array(list(pilots.values())), trials, champion if hard else None)
         cells = dict(zip(pilots, cells_of(flown, trials), strict=True))
         alone = self.stage.fly(self.cast.network, self.robust[None], trials)
         cells["robust"] = cells_of(alone, trials)[0]
-        serl = self.stage.fly(self.serl.network, self.serl.parameters[self.serl.champion][None], trials)
-        cells["serl"] = cells_of(serl, trials)[0]
+        if specialist is not None and case.name == chosen:
+            cells["specialist"] = cells[chosen]
         if hard:
-            for law in PEERS:
-                cells[law] = Cell.join([self.fly_law(law, trial) for trial in trials])
+            serl = self.stage.fly(self.serl.network, self.serl.parameters[self.serl.champion][None], trials)
+            cells["serl"] = cells_of(serl, trials)[0]
+            laws = self.stage.fly_pilots([LawPilot(law) for law in PEERS], trials)
+            cells.update(zip(PEERS, cells_of(laws, trials), strict=True))
         members = {name: cells.pop(name) for name in names}
         return Measured(case=case.name, hard=hard, chosen=chosen, members=members, others=cells)
 
-    def fly_law(self, law: LawName, trial: Trial) -> Cell:
-        """Fly a classical law through the runtime's own loop, alone from the start."""
-        case, reference = trial.case, trial.reference
-        flight = Flight(
-            duration=len(reference) * DT, condition=case.condition, sensors=case.sensors,
-            faults=case.begun(trial.onset), seed=trial.seed,
-        )  # fmt: skip
-        link = WorldLink(flight)
-        configuration = resolve(overrides=("prior=none",), switch="none")
-        log = self._logs / "flight.ulg"
-        with Session(link, load_solo(law), RecordedReference(reference), configuration, log) as session:
-            (flown,) = session.fly()
-        since = round(trial.onset / DT)
-        states = np.array(link.x[: len(reference)])
-        error = tracking_error(states, reference[: len(states)])[since:]
-        return Cell(
-            nmae=[nmae(error) if len(error) else 100.0],
-            smoothness=[smoothness(np.array(link.commands)[since:])],
-            lost=[flown.outcome is Outcome.LOST],
-        )
+
+class LawPilot:
+    """A classical law of the runtime, flying alone from the start."""
+
+    def __init__(self, name: LawName) -> None:
+        self._law = make_law(name, load_settings())
+        self._reference = np.zeros((0, N_REFERENCE))
+
+    def brief(self, reference: np.ndarray) -> None:
+        """Begin a flight along a reference (T, 3) [rad]."""
+        self._law.reset()
+        self._reference = reference
+
+    def __call__(self, k: int, x: np.ndarray) -> np.ndarray:
+        """Return the command (3,) [rad] at sample k and measured state x (12,), limited as the runtime limits it."""
+        command = self._law.steer(x, self._reference[k]).clip(ACTION_LOW, ACTION_HIGH)
+        self._law.sent(command)
+        return command
 
 
 def cells_of(flown: Flown, trials: list[Trial]) -> list[Cell]:
@@ -195,24 +187,23 @@ def main(population: Path, serl: Path, cache: Path, minutes: float | None) -> No
     cast, peer = Folder(population), Folder(serl)
     measured: dict[str, Measured] = {}
     seconds = 0.0
-    with tempfile.TemporaryDirectory() as logs:
-        bench = Bench(cast, peer, protocol, Path(logs))
-        hard_names = [case.name for case in bench.settings.cases]
-        plan = [*((case, True) for case in bench.settings.cases), *((case, False) for case in EASY)]
-        for number, (case, hard) in enumerate(plan, 1):
-            if minutes is not None and time.monotonic() - began > 60.0 * minutes:
-                click.echo("stopped; the same command goes on")
-                raise SystemExit(3)
+    bench = Bench(cast, peer, protocol)
+    hard_names = [case.name for case in bench.settings.cases]
+    plan = [*((case, True) for case in bench.settings.cases), *((case, False) for case in EASY)]
+    for number, (case, hard) in enumerate(plan, 1):
+        if minutes is not None and time.monotonic() - began > 60.0 * minutes:
+            click.echo("stopped; the same command goes on")
+            raise SystemExit(3)
 
-            def make(case: Case = case, hard: bool = hard) -> Measured:
-                start = time.monotonic()
-                fresh = bench.measure(case, hard)
-                return msgspec.structs.replace(fresh, seconds=round(time.monotonic() - start, 1))
+        def make(case: Case = case, hard: bool = hard) -> Measured:
+            start = time.monotonic()
+            fresh = bench.measure(case, hard)
+            return msgspec.structs.replace(fresh, seconds=round(time.monotonic() - start, 1))
 
-            path = cache / f"{zlib.crc32(case.name.encode()):08x}.json"
-            measured[case.name] = cached(path, key_of(cast, peer, protocol, case), make)
-            seconds += measured[case.name].seconds
-            click.echo(f"{number} of {len(plan)}: {case.name}")
+        path = cache / f"{zlib.crc32(case.name.encode()):08x}.json"
+        measured[case.name] = cached(path, key_of(cast, peer, protocol, case), make)
+        seconds += measured[case.name].seconds
+        click.echo(f"{number} of {len(plan)}: {case.name}")
     coverage_picture(cast.scores, bench.for_case, hard_names, PICTURE)
     written = write("cast", result(measured, cast.members, cast.training, protocol_words(protocol), seconds))
     click.echo(f"wrote {written}")

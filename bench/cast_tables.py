@@ -72,7 +72,7 @@ class Measured(Settings, frozen=True):
     """The member that did best on the tuning trials."""
     members: dict[str, Cell]
     others: dict[str, Cell]
-    """``specialist``, ``robust``, ``serl`` and, in hard cases, the classical laws."""
+    """``specialist``, ``robust`` and, in hard cases, ``serl`` and the classical laws."""
     seconds: float = 0.0
 
 
@@ -118,11 +118,11 @@ def easy_table(measured: Mapping[str, Measured], main: str) -> Table:
             case.case, "-" if target is None else f"<= {target:g}", case.chosen, str(chosen),
             round(float(np.mean(chosen.smoothness)), 1), str(case.members[main]),
             str(case.others["specialist"]) if "specialist" in case.others else "-",
-            str(case.others["robust"]), str(case.others["serl"]),
+            str(case.others["robust"]),
         ])  # fmt: skip
     columns = [
         "case", "target", "member chosen on tuning flights", "its nMAE", "its Sm", "main member",
-        "specialist", "single robust policy", "SERL(10) champion",
+        "specialist", "single robust policy",
     ]  # fmt: skip
     return Table(title="The thesis's cases: nMAE %", columns=columns, rows=rows)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -73,6 +73,16 @@ class Flown(NamedTuple):
         return result
 
 
+class Steers(Protocol):
+    """Whatever can fly a trial."""
+
+    def brief(self, reference: np.ndarray) -> None:
+        """Begin a flight along a reference (T, 3) [rad]."""
+
+    def __call__(self, k: int, x: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] at sample k and measured state x (12,), within the task's limits."""
+
+
 class Pilot:
     """One policy of plain layers, one sample at a time: what :func:`export.network.forward` says, faster.
 
@@ -135,10 +145,7 @@ class BatchOfOne:
         return np.clip(self._offset + self._scale * u, ACTION_LOW, ACTION_HIGH)
 
 
-Steers = Pilot | BatchOfOne
-
-
-def make_pilot(network: Network, parameters: np.ndarray) -> Steers:
+def make_pilot(network: Network, parameters: np.ndarray) -> Pilot | BatchOfOne:
     """Return the faster one that can fly this network."""
     plain = all(layer.layer_norm == "none" and layer.activation in FAST for layer in network.layers)
     return Pilot(network, parameters) if plain else BatchOfOne(network, parameters)
@@ -165,14 +172,17 @@ class Stage:
         opening: (K,) parameters of the policy that flies until each trial's handover; without one the policies
         under test fly from the start.
         """
-        P, E, T = parameters.shape[0], len(trials), trials[0].reference.shape[0]
+        pilots = [make_pilot(network, row) for row in parameters]
+        return self.fly_pilots(pilots, trials, None if opening is None else make_pilot(network, opening))
+
+    def fly_pilots(self, pilots: Sequence[Steers], trials: Sequence[Trial], opener: Steers | None = None) -> Flown:
+        """Fly P pilots of any kind through E trials of equal length, as :meth:`fly` does."""
+        P, E, T = len(pilots), len(trials), trials[0].reference.shape[0]
         flown = Flown(
             np.zeros((T, P, E, N_REFERENCE), dtype=np.float32), np.zeros((T, P, E, N_ACTION), dtype=np.float32),
             np.zeros((P, E), dtype=int), np.zeros((P, E), dtype=bool),
         )  # fmt: skip
-        opener = None if opening is None else make_pilot(network, opening)
-        for p, row in enumerate(parameters):
-            pilot = make_pilot(network, row)
+        for p, pilot in enumerate(pilots):
             for e, trial in enumerate(trials):
                 error, action, lost = self._fly_one(pilot, trial, opener)
                 flown.length[p, e], flown.lost[p, e] = len(error), lost
