@@ -92,18 +92,25 @@ def pick(
 @click.option("--ddpg", type=click.Path(path_type=Path), default=Path("runs/lunar_ddpg"), show_default=True)
 @click.option("--archive", type=click.Path(path_type=Path), default=Path("runs/lunar_archive"), show_default=True)
 @click.option(
+    "--memory",
+    type=click.Path(path_type=Path),
+    default=Path("runs/lunar_trials"),
+    show_default=True,
+    help="What was flown, so that a measurement that was stopped goes on.",
+)
+@click.option(
     "--episodes", type=click.IntRange(2), default=40, show_default=True, help="Of each test; the thesis has 100."
 )
 @click.option("--pictures", type=click.Path(path_type=Path), default=Path("docs/img"), show_default=True)
 @click.option("--name", default="lunar_lander", show_default=True, help="Of the file in results/.")
-def main(pderl: Path, ddpg: Path, archive: Path, episodes: int, pictures: Path, name: str) -> None:
+def main(pderl: Path, ddpg: Path, archive: Path, memory: Path, episodes: int, pictures: Path, name: str) -> None:
     """Measure the landers, nominal and with both faults, and draw figures 4.2 to 4.5."""
     began = time.perf_counter()
     console = Console(soft_wrap=True)
     population, learner, elites = load_run(pderl), load_run(ddpg), load_elites(archive)
     if len(population.cast.parameters) < 2:
         raise UserError(f"{pderl}: expected a population, got a single agent; see {CONFIG} there")
-    grounds, settings = Grounds(), ArchiveSettings()
+    grounds, settings = Grounds(memory), ArchiveSettings()
     repertoire = Cast(LINEAR, elites.parameters())
     ranking = np.argsort(-elites.returns)
     candidates = repertoire.pick(ranking[:CANDIDATES])

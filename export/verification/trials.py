@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from export.network import Network
+from export.training.checkpoint import atomic
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import SEEDS, GymnasiumRollouts
 from export.verification.lander import FAULTS, ID, Fault
 
-TOGETHER = 200
-"""Landers that fly side by side; more would only cost memory."""
+TOGETHER = 100
+"""Landers that fly side by side, and are remembered together."""
 SOLVED = 200.0
 """Return from which on the thesis calls an episode solved."""
 
@@ -36,14 +40,18 @@ class Landed(NamedTuple):
     """(P, E)."""
     behaviour: np.ndarray
     """(P, E, 2) x and vertical velocity at touchdown (thesis eq. 4.2)."""
-    frames: int
 
 
 class Grounds:
-    """Where landers are tried: healthy ones, and ones with each fault."""
+    """Where landers are tried: healthy ones, and ones with each fault.
 
-    def __init__(self) -> None:
-        """Make the environments."""
+    What was flown is remembered in a folder, so that a measurement that was stopped goes on where it was.
+    """
+
+    def __init__(self, memory: Path) -> None:
+        """Make the environments; ``memory`` is the folder, made as needed."""
+        self._memory = memory
+        memory.mkdir(parents=True, exist_ok=True)
         self._rollouts = {
             fault: GymnasiumRollouts(EnvironmentSettings(id=ID, arguments={"fault": fault})) for fault in FAULTS
         }
@@ -52,15 +60,30 @@ class Grounds:
 
     def land(self, cast: Cast, fault: Fault, tasks: np.ndarray) -> Landed:
         """Fly all policies through the episodes of the seeds ``tasks`` (E,)."""
-        rollouts, parts = self._rollouts[fault], []
         step = max(TOGETHER // len(tasks), 1)
-        for start in range(0, len(cast.parameters), step):
-            flights = rollouts.fly(cast.network, cast.parameters[start : start + step], tasks)
-            shape = flights.length.shape
-            parts.append((flights.returns(), rollouts.attribute("impact", shape), int(flights.length.sum())))
-        returns, behaviour, frames = zip(*parts, strict=True)
+        groups = [
+            self._remembered(cast.network, cast.parameters[start : start + step], fault, tasks)
+            for start in range(0, len(cast.parameters), step)
+        ]
         self.episodes += len(cast.parameters) * len(tasks)
-        return Landed(np.concatenate(returns), np.concatenate(behaviour), sum(frames))
+        returns, behaviour = zip(*groups, strict=True)
+        return Landed(np.concatenate(returns), np.concatenate(behaviour))
+
+    def _remembered(self, network: Network, parameters: np.ndarray, fault: Fault, tasks: np.ndarray) -> Landed:
+        """Fly some policies, or recall how they flew."""
+        what = hashlib.sha256(msgspec.json.encode(network))
+        for part in (parameters.astype(np.float32).tobytes(), fault.encode(), tasks.astype(np.int64).tobytes()):
+            what.update(part)
+        path = self._memory / f"{what.hexdigest()[:20]}.npz"
+        if path.exists():
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+                return Landed(file["returns"], file["behaviour"])
+        rollouts = self._rollouts[fault]
+        flights = rollouts.fly(network, parameters, tasks)
+        landed = Landed(flights.returns(), rollouts.attribute("impact", flights.length.shape))
+        with atomic(path) as file:
+            np.savez(file, returns=landed.returns, behaviour=landed.behaviour)
+        return landed
 
 
 def seeds(stream: int, count: int) -> np.ndarray:

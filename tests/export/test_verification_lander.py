@@ -124,8 +124,8 @@ def test_a_resumed_archive_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(flights.returns()[:, 0], elites.returns, rtol=1e-4)
 
 
-def test_a_pick_is_the_policy_that_earns_most_in_its_trials() -> None:
-    grounds = Grounds()
+def test_a_pick_is_the_policy_that_earns_most_in_its_trials(tmp_path: Path) -> None:
+    grounds = Grounds(tmp_path)
     burn = np.zeros((3, 2, 8))
     burn[1, 0, 1] = 1.0  # the main engine on while high: out of the screen, slowly and dearly
     cast = Cast(LINEAR, linear(burn))
@@ -134,6 +134,10 @@ def test_a_pick_is_the_policy_that_earns_most_in_its_trials() -> None:
     assert everybody[choice.member] == pytest.approx(everybody.max())
     assert choice.episodes == 3 * 2 + 2 * 3
     assert worst_case(np.array([0.0, 2.0])) == 0.5
+    remembered = sorted(tmp_path.iterdir())
+    again = choose(Grounds(tmp_path), cast, "weak_engine", stream=1, first=2, then=3, keep=2)
+    assert again == choice
+    assert sorted(tmp_path.iterdir()) == remembered
 
 
 TINY = """
