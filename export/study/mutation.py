@@ -102,16 +102,16 @@ def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:
     "--references", type=click.IntRange(1), default=4, show_default=True, help="Of each seed, one generation."
 )
 @click.option("--name", default="mutation", show_default=True, help="Of the files in results/ and docs/img/.")
-def mutation(runs: Path, references: int, name: str) -> None:
+def mutation(runs: Path, seeds: int, references: int, name: str) -> None:
     """Compare Gaussian, proximal and safety-informed mutation. A stopped command goes on where it was."""
     began = time.perf_counter()
-    frames = short_runs.operator("safe", short_runs.SEEDS[0]).frames
-    budget = frames * len(short_runs.OPERATORS) * len(short_runs.SEEDS)
+    frames = short_runs.operator("safe", 1).frames
+    budget = frames * len(short_runs.OPERATORS) * seeds
     finished: dict[str, list[Short]] = {}
     with flights_progress(budget, "frames") as advance:
         for operator in short_runs.OPERATORS:
             finished[operator] = []
-            for seed in short_runs.SEEDS:
+            for seed in range(1, seeds + 1):
                 config = short_runs.operator(operator, seed)
                 finished[operator].append(train(config, counted(advance, config.frames), runs))
     litters = one_generation(finished["safe"][0], references)
@@ -120,18 +120,19 @@ def mutation(runs: Path, references: int, name: str) -> None:
         name,
         results.Result(
             title="Chapter 6: mutation operators",
-            command=f"python -m export.study mutation --references {references}",
+            command=f"python -m export.study mutation --seeds {seeds} --references {references}",
             seconds=round(time.perf_counter() - began, 1),
-            runs=len(short_runs.SEEDS),
-            seeds=list(short_runs.SEEDS),
+            runs=seeds,
+            seeds=list(range(1, seeds + 1)),
             claims=claims(finished, litters),
             tables=tables,
             notes=[
                 f"Over training: SERL(10) of export/study/configs, {frames} frames a run, 0.01 "
                 "critic updates per frame, same seeds for all operators. The thesis has 1.02 million frames, one "
-                "update per frame and one seed. Two seeds show no significance.",
+                f"update per frame and one seed. {seeds} seed(s) of training show no "
+                "significance.",
                 "One generation: every actor of the run with safe mutation, seed "
-                f"{short_runs.SEEDS[0]}, mutates once with each operator; parents and children fly the same "
+                f"1, mutates once with each operator; parents and children fly the same "
                 f"{litters[0].return_change.shape[1]} training references of 20 s; the run's own memories.",
                 "Change of return: eq. 6.1, (child - parent) / |parent|. Change of unsafe samples: (child - parent) "
                 "over the mean of all parents, since most flights of most parents have none to divide by.",

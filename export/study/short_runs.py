@@ -5,7 +5,6 @@ from __future__ import annotations
 from export.study.short import varied
 from export.training.config import TrainingConfig
 
-SEEDS = (1, 2)
 OPERATORS = ("gaussian", "proximal", "safe")
 
 

@@ -55,7 +55,6 @@ def quick(monkeypatch):
         return msgspec.structs.replace(config, frames=1500, actor=actor, genetic=genetic, task=task)
 
     monkeypatch.setattr("export.study.short_runs.varied", varied)
-    monkeypatch.setattr("export.study.short_runs.SEEDS", (1,))
     monkeypatch.setattr("export.study.generation.DURATION", 2.0)
     monkeypatch.setattr(
         "export.training.run.evaluation_references", lambda *arguments: evaluation_references(*arguments, duration=2.0)
@@ -103,7 +102,7 @@ def test_table71_without_a_td3_actor_says_so(tmp_path):
 
 def test_mutation_study_from_training_to_pictures(tmp_path, monkeypatch, quick):
     monkeypatch.chdir(tmp_path)
-    invoke("mutation", "--references", 1)
+    invoke("mutation", "--seeds", 1, "--references", 1)
     result = results.read(tmp_path / "results" / "mutation.json")
     over_training, generation, tests = result.tables
     assert [row[0] for row in over_training.rows] == list(OPERATORS)
