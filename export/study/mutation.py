@@ -129,10 +129,9 @@ def mutation(runs: Path, seeds: int, references: int, name: str) -> None:
             notes=[
                 f"Over training: SERL(10) of export/study/configs, {frames} frames a run, 0.01 "
                 "critic updates per frame, same seeds for all operators. The thesis has 1.02 million frames, one "
-                f"update per frame and one seed. {seeds} seed(s) of training show no "
-                "significance.",
-                "One generation: every actor of the run with safe mutation, seed "
-                f"1, mutates once with each operator; parents and children fly the same "
+                f"update per frame and one seed. {seeds} seed(s) of training show no significance.",
+                "One generation: every actor of the run with safe mutation, seed 1, mutates once with each operator; "
+                "parents and children fly the same "
                 f"{litters[0].return_change.shape[1]} training references of 20 s; the run's own memories.",
                 "Change of return: eq. 6.1, (child - parent) / |parent|. Change of unsafe samples: (child - parent) "
                 "over the mean of all parents, since most flights of most parents have none to divide by.",
