@@ -156,7 +156,7 @@ def main(pderl: Path, ddpg: Path, archive: Path, memory: Path, episodes: int, pi
     found = Found(
         flown, archived, touchdowns, picks, elites.progress, settings, (population.training, learner.training)
     )
-    measured = result(found, grounds.episodes, time.perf_counter() - began)
+    measured = result(found, grounds.episodes, grounds.recalled, time.perf_counter() - began)
     for claim in measured.claims:
         console.print(f"{claim.claim}: {claim.value} {claim.unit}", highlight=False)
     console.print(f"wrote {results.write(name, measured)}")

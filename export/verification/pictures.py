@@ -78,7 +78,7 @@ def learning(curves: Sequence[Curve], episodes: int, path: Path) -> Path:
         axes.axhline(200.0, color=GREY, lw=0.8, ls=":")
         axes.set(xlabel="frames [million]", ylabel="return of an episode", ylim=(-400.0, 320.0), xlim=(0.0, None))
         axes.grid(True)
-        axes.legend(loc="lower right")
+        axes.legend(loc="upper right", ncols=3)
         axes.set_title(f"Champion: mean and standard deviation over {episodes} episodes not trained on")
         return save(figure, path)
 

@@ -56,7 +56,9 @@ class Grounds:
             fault: GymnasiumRollouts(EnvironmentSettings(id=ID, arguments={"fault": fault})) for fault in FAULTS
         }
         self.episodes = 0
-        """Flown so far."""
+        """Asked for so far."""
+        self.recalled = 0
+        """Of them, flown by an earlier start."""
 
     def land(self, cast: Cast, fault: Fault, tasks: np.ndarray) -> Landed:
         """Fly all policies through the episodes of the seeds ``tasks`` (E,)."""
@@ -77,6 +79,7 @@ class Grounds:
         path = self._memory / f"{what.hexdigest()[:20]}.npz"
         if path.exists():
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+                self.recalled += file["returns"].size
                 return Landed(file["returns"], file["behaviour"])
         rollouts = self._rollouts[fault]
         flights = rollouts.fly(network, parameters, tasks)
