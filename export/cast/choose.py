@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import zlib
@@ -13,6 +14,7 @@ import msgspec
 import numpy as np
 
 from export.cast.breed import MAIN, ROBUST, Breeder, Report, slug
+from export.cast.cases import Case
 from export.cast.coverage import covers, improve, set_cover
 from export.cast.variants import variant_name
 from export.mirrors import AXES
@@ -28,6 +30,8 @@ class Tuned(Settings, frozen=True):
     """What the candidates made of one case's tuning trials: a file in the run's folder ``tuning``."""
 
     case: str
+    key: str
+    """Hash of what decides the rest: case, candidates' parameters, trials."""
     candidates: tuple[str, ...]
     cost: tuple[float, ...]
     """Mean over the trials [% nMAE]."""
@@ -51,7 +55,8 @@ def tune(breeder: Breeder, report: Report, stop: Callable[[], bool] = lambda: Fa
     folder.mkdir(exist_ok=True)
     for name, case in breeder.cases.items():
         path = folder / f"{slug(name)}.json"
-        if path.exists() and load_json(path, Tuned, "tuning scores").candidates == names:
+        key = tuning_key(breeder, case, rows)
+        if path.exists() and load_json(path, Tuned, "tuning scores").key == key:
             continue
         if stop():
             return False
@@ -61,12 +66,21 @@ def tune(breeder: Breeder, report: Report, stop: Callable[[], bool] = lambda: Fa
         breeder.judge.opening = breeder.result(MAIN) if sudden else None
         cost = breeder.judge(rows, trials)
         lost = (cost >= breeder.settings.trial.lost).sum(axis=1)
-        tuned = Tuned(case=name, candidates=names, cost=tuple(cost.mean(axis=1).tolist()), lost=tuple(map(int, lost)))
+        tuned = Tuned(
+            case=name, key=key, candidates=names, cost=tuple(cost.mean(axis=1).tolist()), lost=tuple(map(int, lost))
+        )
         partial = path.with_suffix(".partial")
         partial.write_bytes(to_json(tuned))
         os.replace(partial, path)
         report(f"{name}: best {names[int(cost.mean(axis=1).argmin())]} {cost.mean(axis=1).min():.2f} %", True)
     return True
+
+
+def tuning_key(breeder: Breeder, case: Case, rows: np.ndarray) -> str:
+    """Return a hash of everything that the scores of a case's tuning trials depend on."""
+    s = breeder.settings
+    parts = [s.seed, s.tuning, s.trial, s.layers, s.input_scale, case, case.name in breeder.hard]
+    return hashlib.sha256(msgspec.json.encode(parts) + rows.tobytes()).hexdigest()[:16]
 
 
 class Chosen(Settings, frozen=True):

@@ -83,6 +83,12 @@ def test_the_run_is_a_population_with_the_main_member_first_and_all_its_mirrors(
     assert convert(training["config"], CastSettings, "config") == SMALL
 
 
+def test_what_has_been_compared_is_not_flown_again(run):
+    lines = []
+    assert tune(run, lambda line, final: lines.append(line))
+    assert not lines
+
+
 def test_other_settings_are_refused(run):
     other = msgspec.structs.replace(SMALL, seed=5)
     with pytest.raises(UserError, match="bred with other settings"):
