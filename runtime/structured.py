@@ -215,7 +215,8 @@ class Effectiveness:
         self._low_passed = washout(self._low_passed, r, self._dt)
         f.q[:] = self._q
         drift = f.drift_step.tolist()
-        share = self.settings.model_error / self._dt
+        opened = self._q is self._q_open
+        share = (self.settings.model_error_open if opened else self.settings.model_error) / self._dt
         near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, 0.0)) ** 2
         f.q[:, B] = [
             least * level * near_stall + (share * (new - old)) ** 2
