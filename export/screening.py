@@ -42,8 +42,7 @@ class ScreeningSettings(Settings, frozen=True):
     @property
     def trials(self) -> Trials:
         """Return the references, from each seed in turn."""
-        each = -(-self.references // len(SEEDS))
-        return Trials(each, self.duration, first=self.references)
+        return Trials(self.references, self.duration)
 
 
 class Screening(NamedTuple):

@@ -15,7 +15,7 @@ from export.study.cases import Case, CaseFleet
 from export.training.checkpoint import atomic
 from export.training.evaluate import DURATION, Scores, score
 from export.training.flights import draw_references
-from task.reference import FamilyName, n_samples
+from task.reference import FamilyName
 
 ABREAST = 14
 """Aircraft that fly side by side: more of them no longer share a core's cache and each step takes longer."""
@@ -29,39 +29,35 @@ Progress = Callable[[int], None]
 
 
 class Trials(NamedTuple):
-    """References that every actor of a comparison flies: ``each`` from every one of SEEDS, seed by seed."""
+    """References that every actor of a comparison flies, one from each of SEEDS in turn."""
 
-    each: int
+    number: int
+    """Number ``start`` to ``number`` - 1 of them."""
     duration: float = DURATION
     """[s]."""
     family: FamilyName | Literal["published"] = "evaluation"
-    first: int | None = None
-    """Only so many of them, from one seed after the other; None: all."""
-    until: float | None = None
-    """Only so many seconds of each reference, which stays that of ``duration``; None: all."""
-
-    @property
-    def chosen(self) -> list[int]:
-        """Return where these references stand among all of ``each``."""
-        turns = [s * self.each + i for i in range(self.each) for s in range(len(SEEDS))]
-        return sorted(turns[: self.first])
+    start: int = 0
 
     @property
     def total(self) -> int:
-        """Number of references."""
-        return len(self.chosen)
+        """How many they are."""
+        return self.number - self.start
+
+    def parts(self, size: int) -> list[Trials]:
+        """Return these references in groups of at most ``size``."""
+        starts = range(self.start, self.number, size)
+        return [self._replace(start=i, number=min(i + size, self.number)) for i in starts]
 
     def references(self, theta_trim: float) -> np.ndarray:
         """Return the references (total, T + 1, 3) [rad] about a trim pitch [rad]."""
+        each = -(-self.number // len(SEEDS))
         streams = [np.random.default_rng(s) for s in SEEDS]
-        drawn = [draw_references(rng, self.each, self.duration, theta_trim, self.family) for rng in streams]
-        flown = n_samples(self.until or self.duration) + 1
-        return np.concatenate(drawn)[self.chosen, :flown]
+        drawn = [draw_references(rng, each, self.duration, theta_trim, self.family) for rng in streams]
+        return np.stack(drawn, axis=1).reshape(each * len(SEEDS), *drawn[0].shape[1:])[self.start : self.number]
 
     def noise_seeds(self) -> list[int]:
-        """Return a seed of the sensors' noise for each reference, the same however many there are."""
-        seeds = [1000 * s + i for s in SEEDS for i in range(self.each)]
-        return [seeds[i] for i in self.chosen]
+        """Return a seed of the sensors' noise for each reference."""
+        return [1000 * SEEDS[j % len(SEEDS)] + j // len(SEEDS) for j in range(self.start, self.number)]
 
 
 def fly(
@@ -99,8 +95,10 @@ def fly_once(
     progress: Progress,
 ) -> Scores:
     """Return what :func:`fly` returns, from ``store`` where these flights have been flown before."""
-    what = msgspec.json.encode((network, case, trials, SEEDS))
-    digest = hashlib.sha256(what + np.ascontiguousarray(parameters).tobytes()).hexdigest()[:16]
+    fleet.take(case)
+    what = [msgspec.json.encode((network, case, trials.noise_seeds()))]
+    what += [np.ascontiguousarray(a).tobytes() for a in (parameters, trials.references(fleet.theta_trim))]
+    digest = hashlib.sha256(b"".join(what)).hexdigest()[:16]
     path = store / f"{case.name}-{digest}.npz"
     if path.exists():
         with np.load(path, allow_pickle=False) as kept:

@@ -28,7 +28,7 @@ WINDOW = 9
 """Generations of a running mean: each generation flies other references."""
 MILESTONES = (-400.0, -200.0, -100.0)
 """Returns of a flight that a champion passes on its way."""
-PUBLISHED = Trials(10, 20.0, "published")
+PUBLISHED = Trials(30, 20.0, "published")
 """The references and the length of flight by which the thesis's returns are counted."""
 
 

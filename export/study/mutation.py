@@ -98,9 +98,7 @@ def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:
 
 @click.command()
 @click.option("--runs", type=click.Path(path_type=Path), default=RUNS, show_default=True, help="Of short runs.")
-@click.option(
-    "--references", type=click.IntRange(1), default=4, show_default=True, help="Of each seed, one generation."
-)
+@click.option("--references", type=click.IntRange(1), default=12, show_default=True, help="In all, one generation.")
 @click.option("--name", default="mutation", show_default=True, help="Of the files in results/ and docs/img/.")
 def mutation(runs: Path, seeds: int, references: int, name: str) -> None:
     """Compare Gaussian, proximal and safety-informed mutation. A stopped command goes on where it was."""

@@ -20,6 +20,8 @@ from export.training.evaluate import DURATION, Scores
 from task import results
 from task.errors import UserError
 
+PART = 10
+"""References whose flights are kept together."""
 TD3 = "td3"
 """Name of the gradient actor among a run's members."""
 
@@ -49,8 +51,9 @@ class Pilot(NamedTuple):
 
     def fly(self, fleet: CaseFleet, case: Case, trials: Trials, progress: Progress) -> Scores:
         """Return the member's scores (1, E) in a case."""
-        parameters = self.population.parameters[self.row : self.row + 1]
-        return fly_once(self.run / STORE, fleet, case, self.population.network, parameters, trials, progress)
+        network, parameters = self.population.network, self.population.parameters[self.row : self.row + 1]
+        parts = trials.parts(PART)
+        return join([fly_once(self.run / STORE, fleet, case, network, parameters, p, progress) for p in parts], axis=1)
 
     @property
     def validation(self) -> float:
@@ -133,7 +136,7 @@ def fly_contest(
             repicked_name=names(population)[repicked],
             td3=who.td3.fly(fleet, case, trials, progress),
             population=flown,
-            unseen=[e for e in range(trials.total) if e not in few.chosen],
+            unseen=list(range(few.total if few.duration == trials.duration else 0, trials.total)),
         )
     rivals = {name: pilot.fly(fleet, CASES[0], trials, progress) for name, pilot in who.rivals.items()}
     return scores, rivals
@@ -141,13 +144,16 @@ def fly_contest(
 
 def _notes(who: Contest, scores: Mapping[str, CaseScores], trials: Trials, few: Trials) -> list[str]:
     unseen = len(next(iter(scores.values())).unseen)
-    part = f"the first {few.until:g} s of " if few.until else ""
+    own = few.duration != trials.duration
+    part = (
+        f"{few.total} references of {few.duration:g} s, steeper than these" if own else f"the first {few.total} of them"
+    )
     return [
         f"Champion {who.population.description.champion}: picked once, by nominal validation references that are "
         "not among these. Champion and TD3 actor flew the same "
-        f"{trials.total} references of {trials.duration:g} s ({trials.each} of each seed).",
-        f"The population flew {part}{few.total} of them; the re-picked champion is the member with the lowest nMAE "
-        f"there, and its figure is of the {unseen} others.",
+        f"{trials.total} references of {trials.duration:g} s, one from each seed in turn.",
+        f"The population flew {part}; the re-picked champion is the member with the lowest nMAE there, and its "
+        f"figure is of the {unseen} references that had no part in it.",
         "TD3 actor: "
         + (f"trained alone ({who.td3.run}), of the runs given the best by its validation." if who.alone else "within."),
         "± is the standard deviation over references (champion, TD3), over members (average).",
@@ -164,10 +170,10 @@ def _notes(who: Contest, scores: Mapping[str, CaseScores], trials: Trials, few: 
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--td3", "td3_runs", multiple=True, type=click.Path(path_type=Path), help="Runs of TD3 alone.")
 @click.option("--cases", default=",".join(c.name for c in CASES), show_default=True)
-@click.option("--references", type=click.IntRange(1), default=10, show_default=True, help=f"Of each of seeds {SEEDS}.")
+@click.option("--references", type=click.IntRange(1), default=30, show_default=True, help="In all.")
 @click.option("--population-references", type=click.IntRange(1), default=3, show_default=True, help="In all.")
-@click.option("--population-seconds", type=click.FloatRange(1.0), help="Of those references.  [default: all]")
 @click.option("--duration", type=click.FloatRange(1.0), default=DURATION, show_default=True, help="Of a flight [s].")
+@click.option("--population-duration", type=click.FloatRange(1.0), help="Of the population's.  [default: --duration]")
 @click.option("--name", default="table71", show_default=True, help="Of the files in results/ and docs/img/.")
 def table71(
     run: Path,
@@ -175,17 +181,17 @@ def table71(
     cases: str,
     references: int,
     population_references: int,
-    population_seconds: float | None,
     duration: float,
+    population_duration: float | None,
     name: str,
 ) -> None:
     """Fly the population in RUN through the ten cases. A stopped command goes on where it was."""
     began = time.perf_counter()
     chosen = choose(cases)
     trials = Trials(references, duration)
-    few = trials._replace(first=population_references, until=population_seconds)
-    if few.total < population_references:
-        raise UserError(f"--population-references: expected at most {trials.total}, {references} of each seed")
+    few = Trials(population_references, population_duration or duration)
+    if few.total > trials.total:
+        raise UserError(f"--population-references: expected at most --references = {references}")
     who = contest(run, td3_runs)
     with flights_progress(flights(who, chosen, trials, few)) as progress:
         scores, rivals = fly_contest(who, chosen, trials, few, progress)
@@ -198,8 +204,8 @@ def table71(
     ]
     arguments = "".join(f" --td3 {path}" for path in td3_runs) + f" --references {references}"
     arguments += f" --population-references {population_references} --name {name}"
-    if population_seconds:
-        arguments += f" --population-seconds {population_seconds:g}"
+    if population_duration:
+        arguments += f" --population-duration {population_duration:g}"
     if duration != DURATION:
         arguments += f" --duration {duration:g}"
     if len(chosen) < len(CASES):

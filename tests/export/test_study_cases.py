@@ -15,7 +15,7 @@ from task.metrics import nmae
 from task.state import ACTION, OBSERVATION, REFERENCE
 
 NETWORK = Network(layers=(Layer(units=3),))
-SHORT = Trials(1, 4.0)
+SHORT = Trials(3, 4.0)
 
 
 def laws(gains: tuple[float, ...] = (6.0,)) -> np.ndarray:
@@ -53,7 +53,7 @@ def test_nominal_flights_are_those_of_the_plain_fleet(fleet):
 
 @pytest.mark.parametrize("name", [c.name for c in CASES[1:]])
 def test_every_other_case_changes_the_flight(fleet, name):
-    trials = Trials(1, 22.0 if name == "R3" else 4.0, first=1)
+    trials = Trials(1, 22.0 if name == "R3" else 4.0)
     assert abs(flown(fleet, name, trials).returns[0, 0] - flown(fleet, "nominal", trials).returns[0, 0]) > 1e-3
 
 
@@ -67,7 +67,7 @@ def test_cases_leave_nothing_behind(fleet):
 def test_with_biased_sensors_the_true_error_is_scored(fleet):
     """A law that nulls what it reads is off by the bias of 4e-3 rad, which its readings do not show."""
     fleet.take(case("R3"))
-    trials = Trials(1, 10.0, first=1)
+    trials = Trials(1, 10.0)
     references = trials.references(fleet.theta_trim)
     seen = Fleet.fly(fleet, NETWORK, laws(), references)
     true = fleet.fly_case(NETWORK, laws(), references, trials.noise_seeds())
@@ -80,7 +80,7 @@ def test_with_biased_sensors_the_true_error_is_scored(fleet):
 
 def test_noise_belongs_to_the_reference_and_not_to_the_place_in_the_fleet(fleet):
     gains = (6.0,) * 3
-    scores = flown(fleet, "R3", Trials(2, 2.0), laws(gains))
+    scores = flown(fleet, "R3", Trials(6, 2.0), laws(gains))
     np.testing.assert_array_equal(scores.returns[0], scores.returns[1])
     np.testing.assert_array_equal(scores.returns[0], scores.returns[2])
     assert len(set(scores.returns[0])) == 6
@@ -89,26 +89,28 @@ def test_noise_belongs_to_the_reference_and_not_to_the_place_in_the_fleet(fleet)
 def test_batches_do_not_change_the_flights(fleet):
     """More actors than fly abreast, and one at a time: the same."""
     gains = tuple(np.linspace(3.0, 8.0, ABREAST // 3 + 2))
-    together = flown(fleet, "F2", Trials(1, 1.0), laws(gains))
-    alone = join([flown(fleet, "F2", Trials(1, 1.0), laws((g,))) for g in gains], axis=0)
+    together = flown(fleet, "F2", Trials(3, 1.0), laws(gains))
+    alone = join([flown(fleet, "F2", Trials(3, 1.0), laws((g,))) for g in gains], axis=0)
     np.testing.assert_allclose(together.returns, alone.returns, rtol=1e-5)
     assert together.nmae.shape == (len(gains), len(SEEDS))
 
 
-def test_fewer_references_are_the_first_of_each_seed_in_turn():
-    whole = Trials(3, 2.0).references(0.05)
-    assert Trials(3, 2.0, first=4).chosen == [0, 1, 3, 6]
-    np.testing.assert_array_equal(Trials(3, 2.0, first=4).references(0.05), whole[[0, 1, 3, 6]])
-    np.testing.assert_array_equal(Trials(1, 2.0).references(0.05), whole[[0, 3, 6]])
-    assert len(set(Trials(3).noise_seeds())) == 9
-    np.testing.assert_array_equal(Trials(3, 2.0, until=1.0).references(0.05), whole[:, :101])
+def test_fewer_references_are_the_first_of_more():
+    whole = Trials(9, 2.0).references(0.05)
+    np.testing.assert_array_equal(Trials(4, 2.0).references(0.05), whole[:4])
+    parts = Trials(9, 2.0).parts(4)
+    assert [part.total for part in parts] == [4, 4, 1]
+    np.testing.assert_array_equal(np.concatenate([part.references(0.05) for part in parts]), whole)
+    assert [seed for part in parts for seed in part.noise_seeds()] == Trials(9, 2.0).noise_seeds()
+    assert len(set(Trials(9).noise_seeds())) == 9
+    assert len({reference.tobytes() for reference in whole}) == 9
 
 
 def test_flights_are_kept_and_flown_again_only_when_something_changes(fleet, tmp_path):
     done: list[int] = []
 
     def go(parameters, name="F3"):
-        return fly_once(tmp_path, fleet, case(name), NETWORK, parameters, Trials(1, 1.0), done.append)
+        return fly_once(tmp_path, fleet, case(name), NETWORK, parameters, Trials(3, 1.0), done.append)
 
     first, again = go(laws()), go(laws())
     for a, b in zip(first, again, strict=True):

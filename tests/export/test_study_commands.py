@@ -71,7 +71,7 @@ def test_table71_tells_champion_average_and_td3_apart(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = saved(tmp_path / "cast", "actor_0", actor_0=8.0, actor_1=20.0, td3=0.5)
     rival, weak = saved(tmp_path / "alone", "td3", td3=2.0), saved(tmp_path / "weak", "td3", td3=0.2)
-    arguments = ["table71", run, "--td3", weak, "--td3", rival, "--references", 1, "--population-references", 2]
+    arguments = ["table71", run, "--td3", weak, "--td3", rival, "--references", 3, "--population-references", 2]
     arguments += ["--cases", "nominal,F6", "--duration", 10]
     invoke(*arguments)
     result = results.read(tmp_path / "results" / "table71.json")
@@ -102,7 +102,7 @@ def test_table71_without_a_td3_actor_says_so(tmp_path):
 
 def test_mutation_study_from_training_to_pictures(tmp_path, monkeypatch, quick):
     monkeypatch.chdir(tmp_path)
-    invoke("mutation", "--seeds", 1, "--references", 1)
+    invoke("mutation", "--seeds", 1, "--references", 2)
     result = results.read(tmp_path / "results" / "mutation.json")
     over_training, generation, tests = result.tables
     assert [row[0] for row in over_training.rows] == list(OPERATORS)
