@@ -266,7 +266,7 @@ def claims(states: np.ndarray, phugoid: Phugoid, flown: Tracked, agent: Agent, p
 
 @click.command()
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Trained.")
-@click.option("--episodes", type=click.IntRange(1), default=50, show_default=True, help="Of each agent's test.")
+@click.option("--episodes", type=click.IntRange(1), default=30, show_default=True, help="Of each agent's test.")
 def main(runs: Path, episodes: int) -> None:
     """Verify plant, PIDs and gradient learner as the thesis's chapter 9 does."""
     began = time.monotonic()
