@@ -98,6 +98,7 @@ def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:
 
 @click.command()
 @click.option("--runs", type=click.Path(path_type=Path), default=RUNS, show_default=True, help="Of short runs.")
+@click.option("--seeds", type=click.IntRange(1), default=2, show_default=True, help="Training runs of each operator.")
 @click.option("--references", type=click.IntRange(1), default=12, show_default=True, help="In all, one generation.")
 @click.option("--name", default="mutation", show_default=True, help="Of the files in results/ and docs/img/.")
 def mutation(runs: Path, seeds: int, references: int, name: str) -> None:
