@@ -105,7 +105,7 @@ def contest(run: Path, td3_runs: tuple[Path, ...]) -> Contest:
 
 def flights(who: Contest, cases: tuple[Case, ...], trials: Trials, few: Trials) -> int:
     """Return how many flights the table takes when everything is flown."""
-    return len(cases) * (3 * trials.total + len(who.genetic) * few.total) + len(who.rivals) * trials.total
+    return len(cases) * (3 * trials.total + len(who.population.parameters) * few.total) + len(who.rivals) * trials.total
 
 
 def fly_contest(
@@ -117,16 +117,14 @@ def fly_contest(
     """
     fleet, population = CaseFleet(), who.population
     champion = Pilot(who.run, population, population.champion)
-    blocks = [who.genetic[i : i + ABREAST] for i in range(0, len(who.genetic), ABREAST)]
+    # Blocks of all members, as the screening has them: what it flew is not flown again.
+    blocks = [population.parameters[i : i + ABREAST] for i in range(0, len(population.parameters), ABREAST)]
     scores = {}
     for case in cases:
-        flown = join(
-            [
-                fly_once(who.run / STORE, fleet, case, population.network, population.parameters[b], few, progress)
-                for b in blocks
-            ],
-            axis=0,
+        everyone = join(
+            [fly_once(who.run / STORE, fleet, case, population.network, b, few, progress) for b in blocks], axis=0
         )
+        flown = Scores(*(field[who.genetic] for field in everyone))
         ranking = flown.ranking()
         survivors = np.isfinite(ranking).any()
         repicked = who.genetic[int(np.argmin(ranking if survivors else flown.nmae.mean(axis=1)))]
