@@ -18,8 +18,8 @@ SMOOTH = -10.0
 """Least Sm [rad Hz] that the best member is meant to have in the nominal case."""
 RATIO = 1.5
 """Largest nMAE of the cast over the specialist's."""
-LOST_SHARE = 50.0
-"""Mean cost [% nMAE] from which on at least one of two tuning flights was lost."""
+USELESS = 50.0
+"""Mean cost [% nMAE] from which on a member is of no use in a case: that of two flights of which one is lost."""
 LAWS = ("pid", "indi", "indi-rls-signfree")
 
 
@@ -260,7 +260,7 @@ def coverage_picture(
 
     members = list(scores)
     cost = np.array([[scores[name][case] for name in members] for case in cases])
-    values = np.where(cost < LOST_SHARE, cost, np.nan)
+    values = np.where(cost < USELESS, cost, np.nan)
     figure, axes = plt.subplots(figsize=(3.0 + 0.2 * len(members), 1.9 + 0.17 * len(cases)), layout="constrained")
     colours = plt.get_cmap("viridis_r").copy()
     colours.set_bad("0.25")
@@ -269,7 +269,9 @@ def coverage_picture(
         axes.plot(members.index(for_case[case]), row, "o", color="red", markersize=3.5)
     axes.set_xticks(range(len(members)), members, rotation=90, fontsize=6)
     axes.set_yticks(range(len(cases)), cases, fontsize=6)
-    axes.set_title("nMAE % of every member in every hard case (grey: flights lost; dot: the best)", fontsize=8)
+    axes.set_title(
+        "nMAE % of every member in every hard case (grey: above 50 %, or a flight lost; dot: the best)", fontsize=8
+    )
     figure.colorbar(image, ax=axes, shrink=0.6).ax.tick_params(labelsize=6)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
