@@ -13,7 +13,8 @@ RUN        ?= runs/$(CONFIG)
 CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev fly test lint train export aircraft chapter8 peers structured scores results bench bench-train clean
+.PHONY: help setup setup-dev fly campaign test lint train export cast study sweep verification aircraft chapter8 peers \
+        structured results bench bench-train clean
 
 help: ## Show this help
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -37,6 +38,9 @@ setup-dev: $(VENV)/.dev ## Install everything: training, export, tests
 fly: setup ## Fly SCENARIO in all modes over MAVLink; table and report (ARGS=--realtime for wall clock)
 	$(BIN)/understudy fly $(SCENARIO) $(CAST) $(ARGS)
 
+campaign: setup-dev ## Faults x references x ways of adapting (QUICK=1: a few); resumes; into results/
+	$(BIN)/python -m scenarios.campaign $(if $(QUICK),--quick,--results results --figures docs/img) $(CAST) $(ARGS)
+
 test: setup-dev ## Run the tests, the linter, the type checker and the walls
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -54,6 +58,20 @@ train: setup-dev ## Train a population: CONFIG=serl10 | serl50 | td3; resumes wh
 export: setup-dev ## Export RUN to populations/CONFIG
 	$(BIN)/understudy export $(RUN) populations/$(CONFIG) $(ARGS)
 
+cast: setup-dev ## Breed the default cast, export it, measure it beside specialists and laws
+	$(BIN)/python -m export.cast breed --out runs/citation $(ARGS)
+	$(BIN)/understudy export runs/citation populations/citation
+	$(BIN)/python -m bench.cast
+
+study: setup-dev ## The thesis's tables and figures of RUN, into results/ and docs/img/
+	$(BIN)/python -m export.study table71 $(RUN) $(ARGS)
+	$(BIN)/python -m export.study curves $(RUN)
+	$(BIN)/python -m export.study smoothness $(RUN)
+	$(BIN)/python -m export.study mutation $(RUN)
+
+sweep: setup-dev ## Search the thesis's ranges of hyperparameters; resumes
+	$(BIN)/python -m export.study sweep $(ARGS)
+
 aircraft: setup-dev ## Validate the Citation against recordings; prints the table
 	$(BIN)/understudy aircraft validate $(ARGS)
 
@@ -68,9 +86,7 @@ peers: setup-dev ## The classical laws on faults, noise and latency, into result
 
 structured: setup-dev ## Reversed surfaces: alarm, re-casting and survival, into results/
 	$(BIN)/python -m bench.structured $(ARGS)
-
-scores: setup-dev ## Score RUN on evaluation references, into results/
-	$(BIN)/python -m export.training.report $(RUN) $(ARGS)
+	$(BIN)/python -m bench.decision
 
 bench: setup-dev ## Cost of the cycle, the link and the imagination beside their peers, as ratios
 	$(BIN)/python -m bench.cycle
