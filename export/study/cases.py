@@ -98,6 +98,8 @@ class CasePlant(Plant):
 class CaseFleet(Fleet):
     """A fleet whose aircraft fly one case after another; every actor meets the same noise on the same reference."""
 
+    apart = True
+
     def __init__(self, case: Case = CASES[0]) -> None:
         """Start with one aircraft in ``case``."""
         super().__init__(case.condition)

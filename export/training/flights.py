@@ -90,6 +90,10 @@ IN_STEP = 14
 class Fleet:
     """Aircraft that fly side by side in one thread; made once, used for every generation."""
 
+    apart = False
+    """Whether every flight has an aircraft of its own, in the order of actors and references, to be asked afterwards;
+    otherwise one group of actors after the other flies the same few."""
+
     def __init__(self, condition: FlightCondition = NOMINAL) -> None:
         """Start with one aircraft; others are added as flights ask for them."""
         self.condition = condition
@@ -113,7 +117,7 @@ class Fleet:
         size = max(IN_STEP // references.shape[0], 1)
         starts = range(0, parameters.shape[0], size)
         groups = [
-            self._in_step(network, parameters[i : i + size], references, noise if i == starts[-1] else None, prepare)
+            self._in_step(network, parameters[i : i + size], references, noise if i == starts[-1] else None, prepare, i)
             for i in starts
         ]
         return together(groups)
@@ -125,15 +129,18 @@ class Fleet:
         references: np.ndarray,
         noise: np.ndarray | None,
         prepare: Callable[[Plant], None] | None,
+        first: int,
     ) -> Flights:
-        """Fly some of the actors, P * E aircraft in step."""
+        """Fly some of the actors, the first of them number ``first`` of all, P * E aircraft in step."""
         P, E, T = parameters.shape[0], references.shape[0], references.shape[1] - 1
         N = P * E
-        self.plants += [Plant() for _ in range(N - len(self.plants))]
-        steps = [plant.step for plant in self.plants[:N]]
-        x = np.stack([plant.reset(self.condition) for plant in self.plants[:N]])
+        begin = first * E if self.apart else 0
+        self.plants += [Plant() for _ in range(begin + N - len(self.plants))]
+        plants = self.plants[begin : begin + N]
+        steps = [plant.step for plant in plants]
+        x = np.stack([plant.reset(self.condition) for plant in plants])
         if prepare is not None:
-            for plant in self.plants[:N]:
+            for plant in plants:
                 prepare(plant)
         cast = Cast(network, np.ascontiguousarray(parameters, dtype=np.float32), E)
         scale, offset = np.array(network.action_scale), np.array(network.action_offset)

@@ -18,7 +18,7 @@ from task.limits import DT
 from task.metrics import nmae, smoothness
 from task.observation import observation
 from task.reward import crash_penalty, terminated, tracking_reward, unsafe
-from task.state import ACTION, STATE
+from task.state import ACTION, OBSERVATION, STATE
 
 NETWORK = actor_network(ActorSettings(width=8, hidden=1, input_scale=(8.0, 8.0, 20.0, 4.0, 4.0, 4.0, 8.0)))
 
@@ -204,3 +204,19 @@ def test_environment_ends_a_lost_flight_with_the_penalty() -> None:
     assert abs(info["x"][STATE.phi]) > np.deg2rad(75.0)
     assert reward == pytest.approx(-2.0 * (2000 - steps), abs=1.0)
     assert info["unsafe"]
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_groups_of_aircraft_fly_as_all_at_once(apart: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = Fleet()
+    fleet.apart = apart
+    parameters = initialise(NETWORK, 5, torch.Generator().manual_seed(3)).numpy()
+    references = draw_references(np.random.default_rng(1), 2, 0.5, fleet.theta_trim, "training")
+    noise = np.full((50, 2, 3), 0.1, dtype=np.float32)
+    whole = fleet.fly(NETWORK, parameters, references, noise)
+    monkeypatch.setattr("export.training.flights.IN_STEP", 4)
+    grouped = fleet.fly(NETWORK, parameters, references, noise)
+    for one, other in zip(whole, grouped, strict=True):
+        np.testing.assert_array_equal(one, other)
+    rate = np.float32(fleet.plants[7].x[STATE.p])
+    assert not apart or rate == whole.observation[-1, 3, 1, OBSERVATION.p]
