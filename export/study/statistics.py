@@ -10,7 +10,13 @@ RESAMPLES = 10_000
 
 
 def t_test(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the tail probability p of equal means of two samples (thesis section IV): Student, two-sided."""
+    """Return the tail probability p of equal means of two samples (thesis section IV): Student, two-sided.
+
+    Against a sample of one, that one is taken for the mean.
+    """
+    if min(len(a), len(b)) == 1:
+        many, mean = (a, b) if len(b) == 1 else (b, a)
+        return float(stats.ttest_1samp(many, mean[0]).pvalue)
     if np.ptp(a) == np.ptp(b) == 0.0:
         return 1.0 if a[0] == b[0] else 0.0
     return float(stats.ttest_ind(a, b).pvalue)

@@ -67,7 +67,7 @@ def significance_table(scores: Mapping[str, CaseScores]) -> Table:
     """Return the thesis's t-tests and the paired bootstrap interval of champion less TD3."""
     rows = []
     for case, s in scores.items():
-        champion, td3, average = s.champion.nmae[0], s.td3.nmae[0], s.population.nmae.ravel()
+        champion, td3, average = s.champion.nmae[0], s.td3.nmae[0], s.population.nmae.mean(axis=0)
         difference, low, high = paired_interval(champion, td3)
         lowest = best({"champion": champion, "td3": td3, "average": average})
         rows.append(

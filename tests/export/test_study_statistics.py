@@ -17,6 +17,12 @@ def test_t_test_is_students():
     assert t_test(a, b) == pytest.approx(expected)
 
 
+def test_t_test_against_one_number():
+    a = np.random.default_rng(3).normal(1.0, 0.5, 20)
+    expected = 2.0 * stats.t.sf(abs(a.mean() - 2.0) / (a.std(ddof=1) / np.sqrt(20)), 19)
+    assert t_test(a, np.array([2.0])) == t_test(np.array([2.0]), a) == pytest.approx(expected)
+
+
 def test_t_test_of_constants():
     assert t_test(np.ones(3), np.ones(3)) == 1.0
     assert t_test(np.ones(3), np.zeros(3)) == 0.0
