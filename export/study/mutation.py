@@ -18,6 +18,8 @@ from export.study.thesis import MUTATION_MAGNITUDE
 from task import results
 from task.results import Claim, Table
 
+RETURNS = (-4000.0, -2000.0, -1000.0, -500.0, -200.0, -100.0)
+"""Marks on the axes of the learning curves."""
 LAST = 4
 """Generations at the end of a run over which a level is averaged: each flies another reference."""
 
@@ -67,6 +69,8 @@ def draw_training(figure: Figure, runs: dict[str, list[Short]]) -> None:
         axis.grid(alpha=0.3)
     for axis in axes[:2]:
         axis.set_yscale("symlog", linthresh=100.0)
+        axis.set_yticks(RETURNS, [f"{r:g}" for r in RETURNS])
+        axis.set_ylim(RETURNS[0], RETURNS[-1])
     axes[0].set_ylabel("return of a flight")
     axes[0].legend()
 
