@@ -177,7 +177,7 @@ def key_of(cast: Folder, serl: Folder, protocol: Protocol, case: Case) -> str:
 
 @click.command()
 @click.option("--population", type=click.Path(path_type=Path), default="populations/citation", show_default=True)
-@click.option("--serl", type=click.Path(path_type=Path), default="populations/serl10", show_default=True)
+@click.option("--serl", type=click.Path(path_type=Path), default="populations/serl50", show_default=True)
 @click.option("--cache", type=click.Path(path_type=Path), default="runs/bench_cast", show_default=True)
 @click.option("--minutes", type=click.FloatRange(0.0), help="Begin no case after so many minutes; run again to go on.")
 def main(population: Path, serl: Path, cache: Path, minutes: float | None) -> None:

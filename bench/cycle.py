@@ -1,6 +1,6 @@
 """What each piece of the cycle costs, beside what a peer takes for the same.
 
-``python -m bench.cycle --population populations/serl10`` times every piece and its peer in turns within one run, so
+``python -m bench.cycle --population populations/serl50`` times every piece and its peer in turns within one run, so
 that the ratios mean something on a noisy machine, and writes ``results/cycle.json``.
 """
 
@@ -213,7 +213,7 @@ def measure(pieces: list[Piece]) -> list[tuple[Piece, float, float | None]]:
 
 
 @click.command()
-@click.option("--population", type=Path, default=Path("populations/serl10"), show_default=True)
+@click.option("--population", type=Path, default=Path("populations/serl50"), show_default=True)
 @click.option("--out", type=Path, default=Path("results"), show_default=True, help="Folder of the result.")
 def main(population: Path, out: Path) -> None:
     """Time the pieces of the cycle and write results/cycle.json."""

@@ -113,7 +113,7 @@ class Recorder:
         structured = configuration.adaptation.effectiveness == "structured"
         self._log.info("sys_name", "Understudy")
         self._log.info("population", population)
-        self._log.info("members", ",".join(members))
+        self._log.info("members", msgspec.json.encode(members).decode())  # a list: names may hold commas
         for key, text in information.items():
             self._log.info(key, text)
         self._parameters(msgspec.to_builtins(configuration))

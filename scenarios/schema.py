@@ -93,7 +93,7 @@ class Scenario(Settings, frozen=True):
     """The references; the pitch reference of ``base`` and ``random`` is added to the trim pitch."""
     modes: tuple[ModeName, ...] = get_args(ModeName)[: len(MODES)]
     """Which modes are flown, all on the same references; ``structured`` and the laws only when they are named."""
-    population: str = "serl10"
+    population: str = "serl50"
     """The cast: a folder, or the name of one under ``populations/``."""
 
 

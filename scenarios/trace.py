@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from pyulog import ULog
 
@@ -115,7 +116,7 @@ def read_log(path: Path) -> AdaptationTrace:
             log = ULog(file)
         topics = {data.name: data.data for data in log.data_list}
         cycle, innovation = topics["cycle"], topics["innovation"]
-        members = log.msg_info_dict["members"].split(",")
+        members = msgspec.json.decode(log.msg_info_dict["members"], type=list[str])
     except Exception as error:  # pyulog raises whatever its parser stumbles over
         raise UserError(f"{path}: not a flight log of the runtime: {error!r}; fly it again") from None
     names = [s.name for s in STATE if s.name in innovation]
