@@ -8,7 +8,7 @@ export OMP_NUM_THREADS ?= 1
 SCENARIO   ?= cg_shift
 # The cast that flies; empty: the scenario's own.
 POPULATION ?=
-CONFIG     ?= serl10
+CONFIG     ?= serl50
 RUN        ?= runs/$(CONFIG)
 CAST        = $(if $(POPULATION),--population $(POPULATION))
 
@@ -52,7 +52,7 @@ lint: setup-dev ## Format and fix what can be fixed by itself
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-train: setup-dev ## Train a population: CONFIG=serl10 | serl50 | td3; resumes where it stopped
+train: setup-dev ## Train a population: CONFIG=serl50 | serl10 | td3; resumes where it stopped
 	$(BIN)/understudy train $(CONFIG) --out $(RUN) $(ARGS)
 
 export: setup-dev ## Export RUN to populations/CONFIG
