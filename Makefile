@@ -63,11 +63,21 @@ cast: setup-dev ## Breed the default cast, export it, measure it beside speciali
 	$(BIN)/understudy export runs/citation populations/citation
 	$(BIN)/python -m bench.cast
 
-study: setup-dev ## The thesis's tables and figures of RUN, into results/ and docs/img/
-	$(BIN)/python -m export.study table71 $(RUN) $(ARGS)
-	$(BIN)/python -m export.study curves $(RUN)
+study: setup-dev ## The thesis's tables and figures of RUN beside TD3 alone (runs/td3), into results/ and docs/img/
+	$(BIN)/python -m export.study table71 $(RUN) --td3 runs/td3 $(ARGS)
+	$(BIN)/python -m export.study curves $(RUN) runs/td3
 	$(BIN)/python -m export.study smoothness $(RUN)
-	$(BIN)/python -m export.study mutation $(RUN)
+	$(BIN)/python -m export.study mutation
+
+verification: setup-dev ## The trainer on other environments, PIDs and aircraft as the thesis verifies them; resumes
+	$(BIN)/understudy train pitch_td3
+	$(BIN)/understudy train pendulum_ddpg
+	$(BIN)/understudy train pendulum_pderl
+	$(BIN)/python -m bench.verification
+	$(BIN)/understudy train lunar_pderl
+	$(BIN)/understudy train lunar_ddpg
+	$(BIN)/python -m export.verification.archive --iterations 47
+	$(BIN)/python -m export.verification.measure
 
 sweep: setup-dev ## Search the thesis's ranges of hyperparameters; resumes
 	$(BIN)/python -m export.study sweep $(ARGS)

@@ -17,65 +17,19 @@ import numpy as np
 from bench.law_cases import CASES, Case
 from runtime.config import resolve
 from runtime.laws.catalogue import LAWS, LawName, load_solo
-from runtime.link import LOST, OVER, Sample
 from runtime.loop import Outcome
 from runtime.reference import RecordedReference
 from runtime.session import Session
+from scenarios.campaign.flying import WorldLink
 from sim_bridge.flight import Flight
-from sim_bridge.world import World
-from task.limits import DT
+from sim_bridge.plant import Plant
 from task.metrics import channel_nmae, smoothness
 from task.observation import tracking_error
-from task.reference import base_reference, n_samples
+from task.reference import base_reference
 from task.results import Claim, Result, Table, write
-from task.reward import terminated
-from task.state import STATE
 
 DURATION = 80.0
 """Of a flight [s]."""
-
-
-class WorldLink:
-    """The aircraft's side as an in-process link, in lockstep: faults and sensors of a flight, no sockets."""
-
-    skipped = repeated = 0
-
-    def __init__(self, flight: Flight) -> None:
-        self.ended = ""
-        self._world = World(flight)
-        self._ticks = n_samples(flight.duration)
-        self._period = round(1e6 * DT)
-        self.x = [self._world.x.copy()]
-        self.commands: list[np.ndarray] = []
-
-    @property
-    def trim_pitch(self) -> float:
-        """Pitch of the start [rad]."""
-        return float(self.x[0][STATE.theta])
-
-    def read(self, timeout: float) -> Sample | None:
-        """Return the state of the current tick as the sensors see it; None at the end."""
-        if len(self.commands) >= self._ticks:
-            self.ended = OVER
-        elif terminated(self._world.x):
-            self.ended = LOST
-        return None if self.ended else Sample(self._period * len(self.commands), 1, self._world.measured.copy())
-
-    def write(self, action: np.ndarray, time_usec: int) -> None:
-        """Fly one tick."""
-        self.commands.append(action.copy())
-        self._world.step(action)
-        self.x.append(self._world.x.copy())
-
-    def say(self, text: str, severity: int) -> None:
-        """Say nothing: the log has it."""
-
-    def diagnosis(self) -> str:
-        """Return what there is to say of the link."""
-        return "in process"
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class Flown(NamedTuple):
@@ -98,7 +52,8 @@ class Flown(NamedTuple):
 
 def fly(law: LawName, case: Case, folder: Path, duration: float = DURATION) -> Flown:
     """Fly a law through the runtime's loop; the log goes below ``folder``."""
-    link = WorldLink(Flight(duration=duration, condition=case.condition, sensors=case.sensors, faults=case.faults))
+    flight = Flight(duration=duration, condition=case.condition, sensors=case.sensors, faults=case.faults)
+    link = WorldLink(flight, Plant())
     rows = base_reference(duration, link.trim_pitch)
     configuration = resolve(overrides=("prior=none",), switch="none")
     with Session(link, load_solo(law), RecordedReference(rows), configuration, folder / "flight.ulg") as session:
