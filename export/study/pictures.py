@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 FOLDER = Path("docs/img")
 
@@ -19,4 +21,7 @@ def picture(name: str, folder: Path = FOLDER) -> Iterator[Figure]:
     FigureCanvasAgg(figure)
     yield figure
     folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{name}.png", dpi=100)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=100)
+    # A page's picture needs no more than 256 colours, which are a third of the bytes.
+    Image.open(drawn).convert("RGB").quantize(256).save(folder / f"{name}.png", optimize=True)
