@@ -35,5 +35,5 @@ def test_a_law_flies_over_the_link_without_a_population(reference_file, tmp_path
     assert runtime.returncode == 0, runtime.stderr
     assert "the law indi-rls-signfree flies alone" in runtime.stderr
     log = ULog(str(tmp_path / "f.ulg"))
-    assert log.msg_info_dict["members"] == "indi-rls-signfree"
+    assert json.loads(log.msg_info_dict["members"]) == ["indi-rls-signfree"]
     assert json.loads((tmp_path / "f.summary.json").read_text())["cycles"] == 300

@@ -97,7 +97,7 @@ def test_the_log_is_a_population_s_with_the_law_as_its_one_member(plant_link, tm
     fly(link, "indi", tmp_path / "f.ulg")
     log = ULog(str(tmp_path / "f.ulg"))
     topics = {topic.name: topic.data for topic in log.data_list}
-    assert log.msg_info_dict["members"] == log.msg_info_dict["population"] == "indi"
+    assert json.loads(log.msg_info_dict["members"]) == [log.msg_info_dict["population"]] == ["indi"]
     assert set(topics["cycle"]["member"]) == {0}
     assert len(topics["innovation"]["timestamp"]) == 300
     assert "play" not in topics
