@@ -109,9 +109,9 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
     wrong [-]; added to the drift of the bias, so that hard manoeuvres alarm no more than gentle ones."""
 
-    model_error_open: NotNegative = 4.0
-    """The same while the filters are open [-]: a shifted centre of gravity changes the model's slopes, and is not to be
-    taken for a surface that has changed."""
+    model_error_open: NotNegative = 0.3
+    """The same while the filters are open [-]. More (4) mistakes a far shifted centre of gravity less often for a surface
+    that has changed, and finds reversed surfaces too late."""
 
     stall_error: NotNegative = 300.0
     """Growth of the bias's drift with the angle of attack above 8 degrees, where the lift curve bends [1/rad]: by 5 a
