@@ -110,7 +110,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     wrong [-]; added to the drift of the bias, so that hard manoeuvres alarm no more than gentle ones."""
 
     model_error_open: NotNegative = 0.3
-    """The same while the filters are open [-]. More (4) mistakes a far shifted centre of gravity less often for a surface
+    """The same while the filters are open [-]. More (4) takes a far shifted centre of gravity less often for a surface
     that has changed, and finds reversed surfaces too late."""
 
     stall_error: NotNegative = 300.0
