@@ -104,6 +104,15 @@ class GoldenImagination(Settings, frozen=True):
     tolerance: float
 
 
+class GoldenLaws(Settings, frozen=True):
+    """Laws of :mod:`task.laws` in the golden imagination's question, and their returns (Q,), within ``tolerance``."""
+
+    maps: list[list[list[float]]]
+    memory: list[list[float]]
+    returns: list[float]
+    tolerance: float
+
+
 class Manifest(Settings, frozen=True):
     """``manifest.json``."""
 
@@ -126,6 +135,8 @@ class Manifest(Settings, frozen=True):
     golden_imagination: GoldenImagination
     training: dict[str, Any]
     exported_with: dict[str, str]
+    golden_laws: GoldenLaws | None = None
+    """None: the folder holds no graph of laws, and no law can be admitted to this cast."""
 
     @property
     def n_parameters(self) -> int:
