@@ -13,6 +13,9 @@ OPSET = 18
 IR_VERSION = 9
 """Read by every onnxruntime since 1.17."""
 
+END = np.iinfo(np.int64).max
+"""Of an axis, however long."""
+
 Shape = Sequence[int | str]
 
 
@@ -62,6 +65,10 @@ class Builder:
         outputs = [self._unique(self._prefix + n) for n in names]
         self.nodes.append(helper.make_node(kind, list(inputs), outputs, name=outputs[0], **attributes))
         return outputs
+
+    def slice(self, x: str, axis: int, start: int, end: int = END, name: str | None = None) -> str:
+        """Add what lies between two places along one axis."""
+        return self.op("Slice", x, self.integers(start), self.integers(end), self.integers(axis), name=name)
 
     def result(self, source: str, name: str) -> None:
         """Name a value as an output of the graph."""

@@ -1,13 +1,14 @@
-"""The imagination written plainly in numpy: the reference of the exported graph and of the golden samples."""
+"""The imagination written plainly in numpy: the reference of the exported graphs and of the golden samples."""
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from export.network import Network, forward, unflatten
+from task.laws import reference_rates, seen, step
 from task.limits import ACTION_HIGH, ACTION_LOW
 from task.model import predict_increment
 from task.observation import observation, tracking_error
@@ -17,14 +18,18 @@ from task.state import N_IDENTIFIED
 MAX_DELAY = 20
 """Longest delay of the commands that is imagined, beyond the command lag [samples]."""
 
+Act = Callable[[int, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Commands (A, 3) [rad] within limits, from the step's number, states and their last increments (A, 10), and the
+commands that moved these increments (A, 3) [rad]."""
+
 
 class Imagined(NamedTuple):
-    """What came of P imagined flights."""
+    """What came of A imagined flights."""
 
     returns: np.ndarray
-    """(P,) undiscounted return."""
+    """(A,) undiscounted return."""
     unsafe: np.ndarray
-    """(P,) samples in which the flight was unsafe (eq. 14) and not yet lost."""
+    """(A,) samples in which the flight was unsafe (eq. 14) and not yet lost."""
 
 
 def rollout(
@@ -38,24 +43,70 @@ def rollout(
     exact_kinematics: bool,
     reference: np.ndarray,
 ) -> Imagined:
-    """Return what comes of each of P actors in the incremental model (thesis eqs 8.2, 12, 14).
+    """Return what comes of each of P actors in the incremental model; parameters: (P, K) flat, the rest as in `flown`.
 
-    parameters: (P, K) flat; x, dx: (10,) state and its last increment; commands: (lag + 1 + MAX_DELAY, 3) the last
-    commands sent [rad], oldest first; delay: every command acts so many samples later than the lag says, 0 to
-    MAX_DELAY; model: (13, 10); reference: (H + 1, 3) [rad], row t is t samples after x. The policy acts on row t and
-    the state that follows is scored against row t + 1. From the step in which a flight leaves the limits of
+    The policy acts on row t of the reference and the state that follows is scored against row t + 1.
+    """
+    tensors = unflatten(network, parameters.astype(x.dtype))
+
+    def act(t: int, state: np.ndarray, increment: np.ndarray, acted: np.ndarray) -> np.ndarray:
+        return forward(network, tensors, observation(state, reference[t])).clip(ACTION_LOW, ACTION_HIGH)
+
+    return flown(act, parameters.shape[0], x, dx, commands, delay, model, exact_kinematics, reference)
+
+
+def rollout_laws(
+    maps: np.ndarray,
+    memory: np.ndarray,
+    x: np.ndarray,
+    dx: np.ndarray,
+    commands: np.ndarray,
+    delay: int,
+    model: np.ndarray,
+    exact_kinematics: bool,
+    reference: np.ndarray,
+) -> Imagined:
+    """Return what comes of each of Q laws of :mod:`task.laws` in the incremental model; the rest as in `flown`.
+
+    maps: (Q, 3 + N_MEMORY, N_MEMORY + N_SEEN); memory: (Q, N_MEMORY).
+    """
+    maps, remembered = maps.astype(x.dtype), memory.astype(x.dtype)
+    rates = reference_rates(reference)
+
+    def act(t: int, state: np.ndarray, increment: np.ndarray, acted: np.ndarray) -> np.ndarray:
+        nonlocal remembered
+        command, remembered = step(maps, remembered, seen(state, increment, acted, reference[t], rates[t]))
+        return command
+
+    return flown(act, maps.shape[0], x, dx, commands, delay, model, exact_kinematics, reference)
+
+
+def flown(
+    act: Act,
+    flights: int,
+    x: np.ndarray,
+    dx: np.ndarray,
+    commands: np.ndarray,
+    delay: int,
+    model: np.ndarray,
+    exact_kinematics: bool,
+    reference: np.ndarray,
+) -> Imagined:
+    """Return what comes of flights from one start in the incremental model (thesis eqs 8.2, 12, 14).
+
+    x, dx: (10,) state and its last increment; commands: (lag + 1 + MAX_DELAY, 3) the last commands sent [rad], oldest
+    first; delay: every command acts so many samples later than the lag says, 0 to MAX_DELAY; model: (13, 10);
+    reference: (H + 1, 3) [rad], row t is t samples after x. From the step in which a flight leaves the limits of
     ``task.reward.terminated`` on, every step costs CRASH_COST_PER_FRAME. Computes in x's precision.
     """
-    members = parameters.shape[0]
-    tensors = unflatten(network, parameters.astype(x.dtype))
-    state, increment = np.tile(x, (members, 1)), np.tile(dx, (members, 1))
-    sent = np.tile(commands[MAX_DELAY - delay :], (members, 1, 1))
-    alive = np.ones(members, dtype=bool)
-    returns, dangers = np.zeros(members, dtype=x.dtype), np.zeros(members, dtype=x.dtype)
+    state, increment = np.tile(x, (flights, 1)), np.tile(dx, (flights, 1))
+    sent = np.tile(commands[MAX_DELAY - delay :], (flights, 1, 1))
+    alive = np.ones(flights, dtype=bool)
+    returns, dangers = np.zeros(flights, dtype=x.dtype), np.zeros(flights, dtype=x.dtype)
     # A flight that is lost in the model may diverge until nothing is finite: it is no longer looked at.
     with np.errstate(all="ignore"):
-        for now, following in itertools.pairwise(reference):
-            action = forward(network, tensors, observation(state, now)).clip(ACTION_LOW, ACTION_HIGH)
+        for t, following in enumerate(reference[1:]):
+            action = act(t, state, increment, sent[:, 0])
             sent = np.concatenate([sent, action[:, None].astype(x.dtype)], axis=1)
             increment = predict_increment(state, increment, sent[:, 1] - sent[:, 0], model, exact_kinematics)
             sent = sent[:, 1:]

@@ -12,7 +12,7 @@ and [x; dx] = E L: the weights of the products are in E, so that no node of the 
 all that a step needs. Angle sums turn products of sines into sums of sines, whose arguments are linear too.
 
 Altitude and heading do not feed back into the rest when kinematics are exact; altitude is integrated after the loop, at
-once for all steps (:mod:`export.imagination`), and heading is nobody's business.
+once for all steps (:mod:`export.scoring`), and heading is nobody's business.
 """
 
 from __future__ import annotations
@@ -71,16 +71,16 @@ def _products(row: int) -> tuple[np.ndarray, np.ndarray]:
 class Step:
     """The matrices of a step, made before the loop from ``model`` (M, 13, 10) and ``exact_kinematics``.
 
-    ``moves`` (M, 49, 33), of L; ``observed`` (8, 30): the scaled observation without its reference, and a row for the
-    one; ``state`` (10, 30): x. ``unit`` (3,) [rad]: what a command of one means.
+    ``moves`` (M, 49, 33), of L; ``x_and_dx`` (20, 33): E; ``state`` (10, 30): x. ``unit`` (3,) [rad]: what a command of
+    one means.
     """
 
-    def __init__(self, g: Builder, network: Network, unit: np.ndarray) -> None:
+    def __init__(self, g: Builder, unit: np.ndarray) -> None:
         g.op("Cast", "exact_kinematics", to=onnx.TensorProto.FLOAT, name="exact")
         weights = np.zeros((N_BASE, N_LINEAR))
         for column, (state, weight, *_) in enumerate(PRODUCTS, start=PRODUCT):
             weights[[state, N_IDENTIFIED + state], column] = DT * weight
-        of_linear = _switched(g, np.eye(N_BASE, N_LINEAR, k=1), weights, "x_and_dx")
+        self.x_and_dx = of_linear = _switched(g, np.eye(N_BASE, N_LINEAR, k=1), weights, "x_and_dx")
 
         # Theta' [dx; da], da the increment of the command that acts
         acting = np.zeros((N_REGRESSORS, N_LINEAR))
@@ -96,7 +96,6 @@ class Step:
         self.moves = g.op("Add", linear, from_increment, name="moves")
         carried = g.op("Slice", of_linear, g.integers(0), g.integers(ACTING), g.integers(1))
         self.state = g.op("Slice", carried, g.integers(0), g.integers(N_IDENTIFIED), g.integers(0), name="state")
-        self.observed = g.op("MatMul", g.constant(_observed(network)[0], "observed_of_x"), self.state, name="observed")
 
     @staticmethod
     def _maps() -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -131,6 +130,11 @@ def _observed(network: Network) -> tuple[np.ndarray, np.ndarray]:
     of_reference = np.zeros((N_REFERENCE, N_OBSERVATION + 1))
     of_reference[:, :-1] = observation(np.zeros((N_REFERENCE, N_IDENTIFIED)), np.eye(N_REFERENCE))
     return scale[:, None] * of_state, of_reference * scale
+
+
+def observed_state(g: Builder, step: Step, network: Network) -> str:
+    """Add the map of L to the scaled observation without its reference, and a row for the one: (8, 30)."""
+    return g.op("MatMul", g.constant(_observed(network)[0], "observed_of_x"), step.state, name="observed")
 
 
 def observed_reference(g: Builder, reference: str, network: Network) -> str:

@@ -77,8 +77,7 @@ def seen(x: np.ndarray, dx: np.ndarray, acted: np.ndarray, reference: np.ndarray
     the dimensions in front.
     """
     alike = [np.broadcast_to(part, (*x.shape[:-1], part.shape[-1])) for part in (acted, reference, rate)]
-    # not a product: what reads as zero may have diverged
-    return np.where(READ > 0.0, np.concatenate([np.ones_like(x[..., :1]), x, dx, *alike], axis=-1), 0.0)
+    return np.concatenate([np.ones_like(x[..., :1]), x, dx, *alike], axis=-1) * READ.astype(x.dtype)
 
 
 def step(maps: np.ndarray, memory: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
