@@ -17,6 +17,8 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Fraction = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 
 Switch = Literal["none", "hard", "soft"]
+LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree"]
+"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign."""
 
 
 class Adaptation(Settings, frozen=True, kw_only=True):
@@ -194,7 +196,15 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     dwell: NotNegative = 0.0
     """Least time between two switches [s]."""
 
+    laws: tuple[LawName, ...] = ()
+    """Classical laws that are members of the cast beside the population's networks (docs/laws.md)."""
+
+    first: str = ""
+    """Name of the member that flies first; empty: the population's champion."""
+
     def __post_init__(self) -> None:
+        if len(set(self.laws)) < len(self.laws):
+            raise ValueError(f"laws: expected each at most once, got {list(self.laws)}")
         if self.prior == "population" and self.model == "full":
             raise ValueError("prior = 'population' needs model = 'reduced'; set prior = 'none'")
         if self.effectiveness == "structured" and self.model == "full":
@@ -256,6 +266,9 @@ class Configuration(Settings, frozen=True, kw_only=True):
 PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
     "structured": Adaptation(effectiveness="structured", identify=False),
+    "ensemble": Adaptation(
+        effectiveness="structured", identify=False, laws=("indi-rls-signfree", "pid"), first="indi-rls-signfree"
+    ),
     "thesis": Adaptation(
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
     ),

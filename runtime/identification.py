@@ -15,7 +15,7 @@ from runtime.lowpass import LowPass
 from runtime.structured import Effectiveness
 from task.errors import UserError
 from task.limits import DT
-from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
+from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced, kinematic_rates
 from task.rates import RateModel
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
@@ -130,6 +130,7 @@ class IncrementalModel:
         self.settings = settings
         self.command_lag = command_lag
         self.max_delay = max_delay
+        self._dt = dt
         self._history = CommandHistory(command_lag + 1 + max_delay)
         self.exact_kinematics = settings.model == "reduced"
         self._rows = np.array(REDUCED_REGRESSORS if self.exact_kinematics else range(N_REGRESSORS))
@@ -248,6 +249,8 @@ class IncrementalModel:
         delay = 0
         if self.effectiveness is not None:
             self.effectiveness.impose(x, dx, model)
+            if self.exact_kinematics:  # differences of noisy angles would be rates that are not there
+                dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
             delay = min(self.effectiveness.delay_samples, self.max_delay)
         return Identified(x, dx, self._history.latest(), delay, model, self.exact_kinematics)
 

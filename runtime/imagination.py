@@ -1,5 +1,7 @@
 """The imagination: a worker thread that plays the whole cast in the identified model, one ONNX call per question.
 
+Laws that are members are played in a graph of their own, in a second call.
+
 onnxruntime releases the interpreter while it plays, so that the control thread never waits for it. It asks with
 :meth:`Imagination.request` and looks with :meth:`Imagination.result`, or waits, in lockstep, with
 :meth:`Imagination.wait`.
@@ -9,11 +11,21 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from runtime.population import IMAGINATION, IMAGINATION_INPUTS, IMAGINATION_OUTPUTS, Population, make_session
+from runtime.population import (
+    IMAGINATION,
+    IMAGINATION_INPUTS,
+    IMAGINATION_OUTPUTS,
+    LAWS,
+    LAWS_INPUTS,
+    Population,
+    make_session,
+)
+from task.laws import N_MEMORY, N_SEEN, LinearLaw
 from task.model import N_REGRESSORS
 from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
 
@@ -40,15 +52,20 @@ class Snapshot(NamedTuple):
     """(H + 1, 3) [rad], row t is t samples after x; H is the horizon of this question."""
     incumbent: np.ndarray
     """(K,) the behavioural policy's own parameters."""
+    laws: Sequence[LinearLaw] = ()
+    """The Q laws that are members."""
+    law: int | None = None
+    """Which of them flies, and so is the incumbent; None when a network does."""
 
 
 class Prediction(NamedTuple):
     """What an imagination found."""
 
     returns: np.ndarray
-    """(M, P + 1) predicted return of each member and, last, of the incumbent in each model; all NaN when it failed."""
+    """(M, P + Q + 1) predicted return of each member, laws after networks, and, last, of the incumbent in each model;
+    all NaN when it failed."""
     unsafe: np.ndarray
-    """(M, P + 1) samples in which each imagined flight is unsafe (thesis eq. 14) and not yet lost."""
+    """(M, P + Q + 1) samples in which each imagined flight is unsafe (thesis eq. 14) and not yet lost."""
     tick_requested: int
     """The tick of the state that it started from."""
     seconds: float
@@ -60,7 +77,7 @@ class Prediction(NamedTuple):
 class _Buffers:
     """One place for a question's arrays, made once for the longest horizon."""
 
-    def __init__(self, population: Population, horizon: int) -> None:
+    def __init__(self, population: Population, horizon: int, laws: int) -> None:
         self.x = np.zeros(N_IDENTIFIED, dtype=np.float32)
         self.dx = np.zeros(N_IDENTIFIED, dtype=np.float32)
         self._max_delay = population.max_delay
@@ -71,6 +88,9 @@ class _Buffers:
         self.incumbent = np.zeros(population.manifest.n_parameters, dtype=np.float32)
         self.longest = np.zeros((horizon + 1, N_REFERENCE), dtype=np.float32)
         self.reference = self.longest
+        self.maps = np.zeros((laws, N_ACTION + N_MEMORY, N_MEMORY + N_SEEN), dtype=np.float32)
+        self.memory = np.zeros((laws, N_MEMORY), dtype=np.float32)
+        self.law: int | None = None
         self.tick = 0
         self.serial = 0
 
@@ -85,11 +105,14 @@ class _Buffers:
         self.incumbent[:] = snapshot.incumbent
         self.reference = self.longest[: len(snapshot.reference)]
         self.reference[:] = snapshot.reference[: len(self.longest)]
+        for law, maps, memory in zip(snapshot.laws, self.maps, self.memory, strict=True):
+            maps[:], memory[:] = law.maps, law.memory
+        self.law = snapshot.law
         self.tick, self.serial = tick, serial
 
-    def feeds(self) -> dict[str, np.ndarray]:
-        """Return the inputs of the graph, where they lie."""
-        return {name: getattr(self, name) for name in IMAGINATION_INPUTS}
+    def feeds(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Return inputs of a graph, where they lie."""
+        return {name: getattr(self, name) for name in names}
 
 
 class Imagination:
@@ -99,15 +122,19 @@ class Imagination:
     why; it does not end the thread. Use it as a context manager, or :meth:`close` it.
     """
 
-    def __init__(self, population: Population, horizon: int) -> None:
-        """Start the thread. horizon: the most steps H that a question may ask for."""
+    def __init__(self, population: Population, horizon: int, laws: int = 0) -> None:
+        """Start the thread. horizon: the most steps H that a question may ask for; laws: Q.
+
+        Raises UserError when there are laws and the population brings no graph for them.
+        """
         self.failures = 0
         """Plays that failed so far."""
         self._session = make_session(population.imagination, IMAGINATION)
-        self._actors = len(population.members) + 1
+        self._laws_session = make_session(population.laws_graph(), LAWS) if laws else None
+        self._actors = len(population.members) + laws + 1
         # One pair of hands fills the question to come while the other's is being played.
-        self._next = _Buffers(population, horizon)
-        self._playing = _Buffers(population, horizon)
+        self._next = _Buffers(population, horizon, laws)
+        self._playing = _Buffers(population, horizon, laws)
         self._serial = 0
         self._asked = False
         self._closed = False
@@ -172,9 +199,21 @@ class Imagination:
         start = time.perf_counter()
         error = ""
         try:
-            returns, unsafe = self._session.run(IMAGINATION_OUTPUTS, question.feeds())
+            returns, unsafe = self._session.run(IMAGINATION_OUTPUTS, question.feeds(IMAGINATION_INPUTS))
+            if self._laws_session is not None:
+                of_laws = self._laws_session.run(IMAGINATION_OUTPUTS, question.feeds(LAWS_INPUTS))
+                returns, unsafe = (
+                    _joined(networks, laws, question.law)
+                    for networks, laws in zip((returns, unsafe), of_laws, strict=True)
+                )
         except Exception as failure:  # onnxruntime's errors share no base; none of them may end the flight
             returns = unsafe = np.full((len(question.model), self._actors), np.nan, dtype=np.float32)
             error = " ".join(str(failure).split())[:200]
             self.failures += 1
         return Prediction(returns, unsafe, question.tick, time.perf_counter() - start, error)
+
+
+def _joined(networks: np.ndarray, laws: np.ndarray, flying: int | None) -> np.ndarray:
+    """Return what came of networks (M, P + 1, incumbent last) and of laws (M, Q) as (M, P + Q + 1)."""
+    incumbent = networks[:, -1:] if flying is None else laws[:, flying : flying + 1]
+    return np.concatenate([networks[:, :-1], laws, incumbent], axis=1)

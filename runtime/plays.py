@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from runtime.config import Adaptation
+from runtime.ensemble import Ensemble
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
 from runtime.reference import Reference
@@ -58,10 +59,12 @@ class Plays:
         settings: Adaptation,
         dt: float,
         lockstep: bool,
+        laws: Ensemble | None = None,
     ) -> None:
         self._imagination = imagination
         self._model = model
         self._cast = cast
+        self._laws = laws
         self._reference = reference
         self._settings = settings
         self._dt = dt
@@ -110,7 +113,10 @@ class Plays:
             reference = self._reference.preview(t, self._samples)
         else:
             reference = np.tile(self._reference.at(t).astype(np.float32), (self._samples, 1))
-        return Snapshot(**self._model.snapshot()._asdict(), reference=reference, incumbent=self._cast.live.copy())
+        return Snapshot(
+            **self._model.snapshot()._asdict(), reference=reference, incumbent=self._cast.live.copy(),
+            laws=self._laws.linear() if self._laws else (), law=self._cast.law,
+        )  # fmt: skip
 
     def _collect(self, tick: int) -> Played | None:
         """Return the decision of the imagination under way if it falls at this tick."""

@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 import onnxruntime
 
-from runtime.manifest import Header, Manifest, check, check_header
+from runtime.manifest import GoldenImagination, GoldenLaws, Header, Manifest, check, check_header
 from task.config import convert, read_bytes
 from task.errors import UserError
+from task.laws import N_MEMORY, N_SEEN
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
 from task.observation import observation
 from task.rates import RATE_MODEL_VERSION, RateModel, shapes
@@ -25,11 +26,13 @@ BEHAVIOUR = "behaviour.onnx"
 IMAGINATION = "imagination.onnx"
 PRIOR = "model_prior.npz"
 RATES = "rate_model.npz"
+LAWS = "laws.onnx"
 
 PROBE_SIZE = 0.2
 """Largest error, rate and angle of attack at which members are compared [rad, rad/s]: those of a lively flight."""
 
 IMAGINATION_INPUTS = ("x", "dx", "commands", "delay", "model", "exact_kinematics", "reference", "incumbent")
+LAWS_INPUTS = (*IMAGINATION_INPUTS[:-1], "maps", "memory")
 IMAGINATION_OUTPUTS = ("returns", "unsafe")
 
 
@@ -51,6 +54,17 @@ class Population(NamedTuple):
     """Hash of the manifest, and so of everything: which cast flew."""
     rates: RateModel | None = None
     """Model of the angular accelerations (:mod:`task.rates`); None when the population was exported without."""
+    laws: bytes | None = None
+    """ONNX graph of the rollout of classical laws (:mod:`task.laws`); None when the population was exported without."""
+
+    def laws_graph(self) -> bytes:
+        """Return the graph that plays laws. Raises UserError without one."""
+        if self.laws is None:
+            raise UserError(
+                f"population {self.name}: brings no {LAWS}, so that no laws can be members; export it again, or "
+                "--set laws=[]"
+            )
+        return self.laws
 
     @property
     def name(self) -> str:
@@ -126,9 +140,12 @@ def load_population(folder: Path) -> Population:
         p0,
         hashlib.sha256(raw).hexdigest(),
         _rates(_verified(folder, RATES, manifest), folder / RATES) if RATES in manifest.files else None,
+        _verified(folder, LAWS, manifest) if LAWS in manifest.files else None,
     )
     _check_behaviour(population, folder / BEHAVIOUR)
     _check_imagination(population, folder / IMAGINATION)
+    if population.laws is not None:
+        _check_laws(population, population.laws, folder / LAWS)
     return population
 
 
@@ -239,9 +256,9 @@ def _check_behaviour(population: Population, path: Path) -> None:
                 )
 
 
-def _check_imagination(population: Population, path: Path) -> None:
-    session = make_session(population.imagination, str(path))
-    shapes: dict[str, tuple[int | None, ...]] = {
+def _question_shapes(population: Population) -> dict[str, tuple[int | None, ...]]:
+    """Return the inputs that both graphs have."""
+    return {
         "x": (N_IDENTIFIED,),
         "dx": (N_IDENTIFIED,),
         "commands": (population.command_lag + 1 + population.max_delay, N_ACTION),
@@ -249,17 +266,25 @@ def _check_imagination(population: Population, path: Path) -> None:
         "model": (None, N_REGRESSORS, N_IDENTIFIED),
         "exact_kinematics": (),
         "reference": (None, N_REFERENCE),
-        "incumbent": (population.manifest.n_parameters,),
     }
-    _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
+
+
+def _golden_question(population: Population) -> dict[str, np.ndarray]:
+    """Return the golden question, in the model prior with exact kinematics."""
     golden = population.manifest.golden_imagination
-    feeds = {
+    return {
         **{name: np.array(getattr(golden, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")},
         "delay": np.array(golden.delay),
         "model": embed_reduced(population.theta)[None].astype(np.float32),
         "exact_kinematics": np.array(True),
-        "incumbent": population.parameters[golden.incumbent],
     }
+
+
+def _check_play(
+    session: onnxruntime.InferenceSession, feeds: dict[str, np.ndarray], golden: GoldenImagination | GoldenLaws,
+    path: Path,
+) -> None:  # fmt: skip
+    """Raise UserError unless a graph answers the golden question as it did when it was exported."""
     try:
         returns = session.run(["returns"], feeds)[0][0]
         difference = float(np.abs(returns - np.array(golden.returns)).max())
@@ -270,6 +295,27 @@ def _check_imagination(population: Population, path: Path) -> None:
             f"{path}: the golden imagination is {difference:.1e} off, tolerance {golden.tolerance:.0e}; "
             "export the population again"
         )
+
+
+def _check_imagination(population: Population, path: Path) -> None:
+    session = make_session(population.imagination, str(path))
+    shapes = {**_question_shapes(population), "incumbent": (population.manifest.n_parameters,)}
+    _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
+    golden = population.manifest.golden_imagination
+    feeds = {**_golden_question(population), "incumbent": population.parameters[golden.incumbent]}
+    _check_play(session, feeds, golden, path)
+
+
+def _check_laws(population: Population, graph: bytes, path: Path) -> None:
+    golden = population.manifest.golden_laws
+    if golden is None:
+        raise UserError(f"{path.parent / MANIFEST}: golden_laws: expected answers of {LAWS}, got none; export it again")
+    session = make_session(graph, str(path))
+    maps = (None, N_ACTION + N_MEMORY, N_MEMORY + N_SEEN)
+    shapes = {**_question_shapes(population), "maps": maps, "memory": (None, N_MEMORY)}
+    _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
+    laws = {name: np.array(getattr(golden, name), dtype=np.float32) for name in ("maps", "memory")}
+    _check_play(session, {**_golden_question(population), **laws}, golden, path)
 
 
 class BehaviouralPolicy:

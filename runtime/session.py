@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from runtime.clock import Clock, RateKeeper, SteppedClock, harden
-from runtime.config import Configuration
+from runtime.config import Adaptation, Configuration
+from runtime.ensemble import Ensemble
 from runtime.guard import UNUSABLE, Guard, describe
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
+from runtime.laws.catalogue import load_settings, make_law
 from runtime.laws.solo import NoPlays, Solo
 from runtime.link import Link, Sample, Severity
 from runtime.loop import Loop, Outcome
@@ -38,6 +40,16 @@ class Flown(NamedTuple):
 def log_path(log: Path, number: int) -> Path:
     """Return where the log of flight ``number`` (1, 2, ...) goes: flight.ulg, flight.2.ulg, ..."""
     return log if number == 1 else log.with_suffix(f".{number}{log.suffix}")
+
+
+def members_of(population: Population, adaptation: Adaptation) -> list[str]:
+    """Return the names of all members, networks before laws. Raises UserError when they do not fit together."""
+    names = [*population.members, *adaptation.laws]
+    if twice := [name for name in adaptation.laws if name in population.members]:
+        raise UserError(f"laws: {twice[0]}: the population has a member of this name; --set laws without it")
+    if adaptation.first and adaptation.first not in names:
+        raise UserError(f"first: expected one of {', '.join(names)}, got {adaptation.first!r}")
+    return names
 
 
 class Session:
@@ -66,9 +78,11 @@ class Session:
         self._information = {"population_sha256": population.sha256, **(information or {})}
         self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
         cast = None if isinstance(population, Solo) else population
+        self._members = population.members if cast is None else members_of(cast, adaptation)
         self._cast = Cast(
-            self._policy.parameters, population.parameters, population.champion, adaptation.rho,
-            opposed(probe(cast)) if cast else None,
+            self._policy.parameters, population.parameters,
+            self._members.index(adaptation.first) if cast and adaptation.first else population.champion,
+            adaptation.rho, opposed(probe(cast)) if cast else None,
         )  # fmt: skip
         self._model = IncrementalModel(
             adaptation, population.command_lag, population.theta, population.p0, operation.dt,
@@ -76,7 +90,12 @@ class Session:
         )  # fmt: skip
         self._guard = Guard(operation)
         self._horizon = round(adaptation.horizon / operation.dt)
-        self._imagination = None if isinstance(population, Solo) else Imagination(population, self._horizon)
+        self._ensemble: Ensemble | None = None
+        if isinstance(self._policy, BehaviouralPolicy) and adaptation.laws:
+            settings = load_settings()
+            laws = [make_law(name, settings, operation.dt) for name in adaptation.laws]
+            self._policy = self._ensemble = Ensemble(self._policy, laws, self._cast, self._model)
+        self._imagination = None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
         self._real_time: list[str] = []
         self._rehearse()
 
@@ -94,7 +113,8 @@ class Session:
             return
         identified = self._model.snapshot()
         reference = np.zeros((self._horizon + 1, N_REFERENCE), dtype=np.float32)
-        self._imagination.request(Snapshot(*identified, reference=reference, incumbent=self._cast.live), 0)
+        laws = self._ensemble.linear() if self._ensemble else ()
+        self._imagination.request(Snapshot(*identified, reference=reference, incumbent=self._cast.live, laws=laws), 0)
         self._imagination.wait(0)
 
     def fly(self) -> list[Flown]:
@@ -145,9 +165,9 @@ class Session:
         clock: Clock = RateKeeper(operation.dt, operation.missed_factor) if operation.real_time else SteppedClock()
         plays = NoPlays() if self._imagination is None else Plays(
             self._imagination, self._model, self._cast, self._reference, adaptation, operation.dt,
-            not operation.real_time,
+            not operation.real_time, self._ensemble,
         )  # fmt: skip
-        members = self._population.members
+        members = self._members
         path = log_path(self._log, number)
         recorder = Recorder(
             path, self._configuration, self._population.name, members, self._model.outputs, self._information,

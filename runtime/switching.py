@@ -118,38 +118,55 @@ def opposed(actions: np.ndarray) -> np.ndarray:
 
 
 class Cast:
-    """Which member flies, and the change of parameters under way; applied at cycle boundaries only.
+    """Which member flies, and the change under way; applied at cycle boundaries only.
 
     ``live`` (K,) are the behavioural policy's own parameters, changed in place, and ``members`` (P, K) the
-    population's; float32. ``opposed`` (P, P): which must not be averaged, from :func:`opposed`.
+    population's; float32. ``opposed`` (P, P): which must not be averaged, from :func:`opposed`. Members from P on are
+    laws, which have no parameters: a soft change from or to one of them is a handing over of actions
+    (:class:`runtime.ensemble.Ensemble`), with the same ``blend``.
     """
 
     DONE = 1e-6
     """A blend ends when less than this share is left to go: float32 parameters no longer move."""
 
     def __init__(
-        self, live: np.ndarray, members: np.ndarray, champion: int, rho: float, opposed: np.ndarray | None = None
+        self, live: np.ndarray, members: np.ndarray, first: int, rho: float, opposed: np.ndarray | None = None
     ) -> None:
         self.live = live
         self._members = members
-        self._champion = champion
+        self._first = first
         self._rho = np.float32(rho)
         self._opposed = opposed
         self._step = np.empty_like(live)
         self.reset()
 
     def reset(self) -> None:
-        """Fly the champion."""
-        self.flying = self._origin = self._champion
+        """Fly the member that flies first."""
+        self.flying = self._origin = self._first
         self.blend = 0.0
-        np.copyto(self.live, self._members[self._champion])
+        self.handing_over = self.taken = False
+        """Whether a change of actions is under way, and whether it began in this cycle."""
+        self._copy()
+
+    @property
+    def law(self) -> int | None:
+        """Return which law flies; None when a network does."""
+        number = self.flying - len(self._members)
+        return number if number >= 0 else None
+
+    def _copy(self) -> None:
+        if self.law is None:
+            np.copyto(self.live, self._members[self.flying])
+
+    def _is_law(self, member: int) -> bool:
+        return member >= len(self._members)
 
     def opposes(self, member: int) -> bool:
         """Return whether a member must not be averaged with what flies."""
-        if self._opposed is None:
+        if self._opposed is None or self._is_law(member) or self._is_law(self.flying):
             return False
         row = self._opposed[member]
-        return bool(row[self.flying] or (self.blend > 0.0 and row[self._origin]))
+        return bool(row[self.flying] or (self.blend > 0.0 and not self._is_law(self._origin) and row[self._origin]))
 
     def take(self, decision: Decision) -> None:
         """Begin what was decided: copy the member at once (hard) or move towards it from here on (soft)."""
@@ -157,12 +174,20 @@ class Cast:
             return
         self._origin, self.flying = self.flying, decision.member
         self.blend = 1.0 if decision.action is Action.SOFT else 0.0
-        if decision.action is Action.HARD:
-            np.copyto(self.live, self._members[decision.member])
+        averaged = not (self.handing_over or self._is_law(self._origin) or self._is_law(self.flying))
+        self.handing_over = self.taken = decision.action is Action.SOFT and not averaged
+        if decision.action is Action.HARD or self.handing_over:
+            self._copy()
 
     def step(self) -> None:
         """Do one sample of a blend: theta_b <- (1 - rho) theta_b + rho theta_c (eq. 8.8)."""
         if self.blend == 0.0:
+            return
+        if self.handing_over:
+            if not self.taken:
+                self.blend *= 1.0 - float(self._rho)
+            if self.blend < self.DONE:
+                self.blend, self.handing_over = 0.0, False
             return
         target = self._members[self.flying]
         self.blend *= 1.0 - float(self._rho)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
+from runtime.config import LawName
 from runtime.laws.effectiveness import Effectiveness, EstimateSettings
 from runtime.laws.indi import INDI, INDIGains
 from runtime.laws.law import Airframe, Law
@@ -16,9 +17,7 @@ from task.limits import DT
 
 SETTINGS = Path(__file__).parent / "citation.json"
 
-LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree"]
 LAWS: tuple[LawName, ...] = get_args(LawName)
-"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign."""
 
 
 class LawSettings(Settings, frozen=True, kw_only=True):

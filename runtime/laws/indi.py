@@ -6,15 +6,19 @@ import math
 
 import numpy as np
 
+from runtime.hypotheses import STRAIGHT
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import Airframe, Law, Positive, Row
 from runtime.lowpass import LowPass
 from task.config import Settings
+from task.laws import N_MEMORY, N_SEEN, SEEN, LinearLaw
 from task.limits import DEFLECTION_LIMIT, DT
 from task.state import ACTION, N_ACTION, REFERENCE, STATE
 
 _MOTION = [int(i) for i in (STATE.p, STATE.q, STATE.r, STATE.alpha, STATE.beta)]
-_ALPHA, _BETA = 3, 4
+MAX_DELAY = 20
+"""Longest delay that the law can be matched to [samples]."""
+_R, _ALPHA, _BETA = 2, 3, 4
 """Places of alpha and beta among the filtered signals; p, q, r come first, the commands last."""
 
 
@@ -45,7 +49,15 @@ class INDI(Law):
     omega_dot_f spans the last two states, which the command two samples back moved (the link's command lag): u_f is
     delayed and filtered alike, so that the two belong together. ``estimate`` replaces the columns of B by multiples of
     the nominal ones that are found in flight; without it B is fixed.
+
+    A member of a cast is told what becomes of its commands (:meth:`match`): then u_f is the older command that acts, of
+    the surface that it moves, and the loops ask for no more than the delay lets them: ``REACH`` over it.
     """
+
+    REACH = 0.5
+    """Largest gain of the rate loop times the delay of the commands [-]; an ideal loop would be lost at pi / 2."""
+    CASCADE = 0.4
+    """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
 
     def __init__(
         self, airframe: Airframe, gains: INDIGains, estimate: Effectiveness | None, name: str = "indi", dt: float = DT
@@ -61,7 +73,11 @@ class INDI(Law):
         self._signal, self._last, self._moved = np.zeros(n), np.zeros(n), np.zeros(n)
         self._moved_before = np.zeros(n)
         self._acceleration, self._acceleration_before = np.zeros(3), np.zeros(3)
-        self._commands = [np.zeros(N_ACTION) for _ in range(3)]
+        self._before_first, self._before_second = np.zeros(n), np.zeros(n)
+        self._commands = [np.zeros(N_ACTION) for _ in range(3 + MAX_DELAY)]
+        self._delay, self._order = 0, STRAIGHT
+        self._k_attitude, self._k_rate = gains.attitude, gains.rate
+        self._ratio, self._cos_alpha, self._cos_phi = 1.0, 1.0, 1.0
         self._told = False
         self._samples = 0
 
@@ -69,6 +85,7 @@ class INDI(Law):
         """Start a new flight: trim, nothing learnt."""
         super().reset()
         self._told = False
+        self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
             self.estimate.reset()
 
@@ -84,10 +101,31 @@ class INDI(Law):
         self._commands.append(oldest)
         self._told = True
 
+    def match(self, delay: int, order: tuple[int, int, int]) -> None:
+        """Take how late the commands act beyond the link's lag [samples], and whose acts on which surface."""
+        if (delay, order) == (self._delay, self._order):
+            return
+        if order != self._order:  # what was learnt of a surface was learnt from another one's commands
+            self._samples = 0
+            if self.estimate is not None:
+                self.estimate.reset()
+        self._match_gains(min(delay, MAX_DELAY), order)
+
+    def _match_gains(self, delay: int, order: tuple[int, int, int]) -> None:
+        """Keep both loops as slow as the delay asks for."""
+        self._delay, self._order = delay, order
+        k_theta, k_phi, k_beta = self._gains.attitude
+        most = self.REACH / (delay * self._dt) if delay else math.inf
+        k_p, k_q, k_r = (min(k, most) for k in self._gains.rate)
+        self._k_rate = k_p, k_q, k_r
+        self._k_attitude = self._gains.attitude if not delay else (
+            min(k_theta, self.CASCADE * k_q), min(k_phi, self.CASCADE * k_p), min(k_beta, self.CASCADE * k_r)
+        )  # fmt: skip
+
     def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Return the action (3,) [rad], within the limits of the task."""
         now, asked = x.tolist(), reference.tolist()
-        ratio = self.pressure_ratio(now)
+        ratio = self._ratio = self.pressure_ratio(now)
         wanted = self.reference_rates(asked)
         if self._samples == 0:
             return self._begin(x, ratio)
@@ -95,20 +133,21 @@ class INDI(Law):
         p, q, r, phi, theta = now[STATE.p], now[STATE.q], now[STATE.r], now[STATE.phi], now[STATE.theta]
         sin_phi, cos_phi = math.sin(phi), math.cos(phi)
         cos_alpha = math.cos(now[STATE.alpha])
-        k_theta, k_phi, k_beta = self._gains.attitude
+        self._cos_alpha, self._cos_phi = cos_alpha, math.copysign(max(abs(cos_phi), 0.1), cos_phi)
+        k_theta, k_phi, k_beta = self._k_attitude
         theta_rate = wanted[REFERENCE.theta] + k_theta * (asked[REFERENCE.theta] - theta)
         phi_rate = wanted[REFERENCE.phi] + k_phi * (asked[REFERENCE.phi] - phi)
         beta_rate = wanted[REFERENCE.beta] + k_beta * (asked[REFERENCE.beta] - now[STATE.beta])
         side = self._moved[_BETA] / self._dt + (self._signal[STATE.r] + self._start[STATE.r]) * cos_alpha
         rates = (
             phi_rate - (q * sin_phi + r * cos_phi) * math.tan(theta),
-            (theta_rate + r * sin_phi) / math.copysign(max(abs(cos_phi), 0.1), cos_phi),
+            (theta_rate + r * sin_phi) / self._cos_phi,
             (side - beta_rate) / cos_alpha,
         )
         missing = [
             k * (rate - measured) - acceleration
             for k, rate, measured, acceleration in zip(
-                self._gains.rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
+                self._k_rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
             )
         ]
         self._allocate(missing, ratio)
@@ -136,7 +175,7 @@ class INDI(Law):
         scale = ratio * multipliers[surface]
         now = float(self._start[MOTIONS + surface] + self._signal[MOTIONS + surface])
         u = min(max(now + increment / scale, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
-        self._action[surface] = u
+        self._action[self._order[surface]] = u
         return (u - now) * scale
 
     def _begin(self, x: np.ndarray, ratio: float) -> np.ndarray:
@@ -147,7 +186,7 @@ class INDI(Law):
         for command in self._commands[:-1]:
             np.copyto(command, self._commands[-1])
         np.take(x, _MOTION, out=self._start[:MOTIONS])
-        np.copyto(self._start[MOTIONS:], self._commands[-1])
+        np.take(self._commands[-1], self._order, out=self._start[MOTIONS:])
         for signal in (self._last, self._moved, self._acceleration):
             signal[:] = 0.0
         self._filter.reset()
@@ -160,8 +199,10 @@ class INDI(Law):
         np.copyto(self._moved_before, self._moved)
         np.copyto(self._acceleration_before, self._acceleration)
         np.take(x, _MOTION, out=self._signal[:MOTIONS])
-        np.copyto(self._signal[MOTIONS:], self._commands[-2])
+        np.take(self._commands[-2 - self._delay], self._order, out=self._signal[MOTIONS:])
         np.subtract(self._signal, self._start, out=self._signal)
+        np.copyto(self._before_first, self._filter.first)
+        np.copyto(self._before_second, self._filter.second)
         self._filter.filter(self._signal)
         np.subtract(self._signal, self._last, out=self._moved)
         np.copyto(self._last, self._signal)
@@ -170,3 +211,63 @@ class INDI(Law):
         if self.estimate is not None and self._samples > 3:
             np.subtract(self._acceleration, self._acceleration_before, out=self._acceleration_before)
             self.estimate.update(self._moved_before[:MOTIONS], self._moved[MOTIONS:], ratio, self._acceleration_before)
+
+    def linear(self) -> LinearLaw:
+        """Return the law with its filters as memory; rudder saturation is not seen by elevator and aileron.
+
+        Of the two filtered signals, B^-1 omega_dot - u of each surface and beta_dot + r cos alpha, the memory holds the
+        low-pass's two states. Bank and pitch rates, of which the law forms its errors, are those of the attitude:
+        phi_dot_ref - phi_dot is p_ref - p, theta_dot_ref - theta_dot is cos phi (q_ref - q).
+        """
+        maps, memory = np.zeros((N_ACTION + N_MEMORY, N_MEMORY + N_SEEN)), np.zeros(N_MEMORY)
+        order, rows = list(self._order), np.arange(3)
+        if self._samples == 0:  # the filters start again: until then the last command goes on
+            maps[rows, N_MEMORY + SEEN.one.start] = self._commands[-1]
+            return LinearLaw(maps, memory)
+        multipliers = np.ones(N_ACTION) if self.estimate is None else np.array(self.estimate.multipliers)
+        inverse = np.array(self._inverse) / (self._ratio * multipliers[:, None])
+        first = (self._filter.first - self._before_first) / self._dt
+        second = (self._filter.second - self._before_second) / self._dt
+        memory[:3] = inverse @ first[:3] - self._filter.first[MOTIONS:]
+        memory[3:6] = inverse @ second[:3] - self._filter.second[MOTIONS:]
+        memory[6] = first[_BETA] + self._cos_alpha * self._filter.first[_R]
+        memory[7] = second[_BETA] + self._cos_alpha * self._filter.second[_R]
+
+        one, x, dx = (N_MEMORY + part.start for part in (SEEN.one, SEEN.x, SEEN.dx))
+        acted, asked, rate = (N_MEMORY + part.start for part in (SEEN.acted, SEEN.reference, SEEN.rate))
+        start = self._start[MOTIONS:]
+        heard = np.zeros((4, N_MEMORY + N_SEEN))
+        """What is filtered: three surfaces, and the side force."""
+        heard[:3, dx + np.array([STATE.p, STATE.q, STATE.r])] = inverse / self._dt
+        heard[rows, acted + np.array(order)] = -1.0
+        heard[:3, one] = start
+        heard[3, [dx + STATE.beta, x + STATE.r, one]] = (
+            1.0 / self._dt,
+            self._cos_alpha,
+            -self._cos_alpha * self._start[_R],
+        )
+        remembered = np.eye(N_MEMORY, N_MEMORY + N_SEEN)
+        was, older = remembered[[0, 1, 2, 6]], remembered[[3, 4, 5, 7]]
+        b0, a1, a2 = self._filter.b0, self._filter.a1, self._filter.a2
+        passed = b0 * heard + was
+        maps[N_ACTION + np.array([0, 1, 2, 6])] = 2.0 * b0 * heard - a1 * passed + older
+        maps[N_ACTION + np.array([3, 4, 5, 7])] = b0 * heard - a2 * passed
+
+        wanted = np.zeros((3, N_MEMORY + N_SEEN))
+        """Angular acceleration of p, q, r that is asked for."""
+        k_theta, k_phi, k_beta = self._k_attitude
+        for row, state, column, k in (
+            (0, STATE.phi, REFERENCE.phi, k_phi), (1, STATE.theta, REFERENCE.theta, k_theta),
+        ):  # fmt: skip
+            wanted[row, [rate + column, asked + column, x + state, dx + state]] = 1.0, k, -k, -1.0 / self._dt
+        wanted[1] /= self._cos_phi
+        wanted[2] = passed[3]
+        wanted[2, one] += self._cos_alpha * self._start[_R]
+        beta = [rate + REFERENCE.beta, asked + REFERENCE.beta, x + STATE.beta]
+        wanted[2, beta] -= 1.0, k_beta, -k_beta
+        wanted[2] /= self._cos_alpha
+        wanted[2, x + STATE.r] -= 1.0
+        surfaces = inverse @ (np.array(self._k_rate)[:, None] * wanted) - passed[:3]
+        surfaces[:, one] += start
+        maps[order] = surfaces
+        return LinearLaw(maps, memory)

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from task.config import Settings
+from task.laws import LinearLaw
 from task.limits import DT
 from task.reward import ALTITUDE_LIMIT
 from task.state import N_ACTION, N_REFERENCE, STATE
@@ -78,6 +79,19 @@ class Law:
 
     def sent(self, command: np.ndarray) -> None:
         """Take what was sent; a law without memory of it ignores it."""
+
+    def match(self, delay: int, order: tuple[int, int, int]) -> None:
+        """Take what is believed to become of the commands; a law that cannot use it ignores it.
+
+        delay: samples beyond the link's command lag; order: whose command acts as elevator, aileron and rudder.
+        """
+
+    def linear(self) -> LinearLaw:
+        """Return how the law goes on from the last state it saw, for the imagination: linear, with its memory.
+
+        Everything that is scheduled stays as it is now.
+        """
+        raise NotImplementedError
 
     def pressure_ratio(self, x: list[float]) -> float:
         """Return the dynamic pressure over nominal [-]; true airspeed is the inertial speed, as in still air."""

@@ -6,8 +6,9 @@ import numpy as np
 
 from runtime.laws.law import Airframe, Law, Row, attitude_rates
 from task.config import Settings
+from task.laws import N_MEMORY, N_SEEN, SEEN, LinearLaw
 from task.limits import DEFLECTION_LIMIT, DT
-from task.state import ACTION, N_REFERENCE, REFERENCE, STATE
+from task.state import ACTION, N_ACTION, N_REFERENCE, REFERENCE, STATE, TRACKED
 
 SIGNS = (-1.0, -1.0, 1.0)
 """Elevator, aileron, rudder that raise theta, phi, beta."""
@@ -41,6 +42,7 @@ class PID(Law):
         self._schedule = gains.schedule
         self._integral = [0.0] * N_REFERENCE
         self._beta = 0.0
+        self._ratio = 1.0
 
     def reset(self) -> None:
         """Start a new flight: nothing is integrated."""
@@ -57,7 +59,7 @@ class PID(Law):
         rates = (theta_rate, phi_rate, (now[STATE.beta] - self._beta) / self._dt)
         self._beta = now[STATE.beta]
         angles = (now[STATE.theta], now[STATE.phi], now[STATE.beta])
-        ratio = self.pressure_ratio(now)
+        ratio = self._ratio = self.pressure_ratio(now)
         feed_forward = (self.trim(ratio), 0.0, 0.0)
         for axis in range(N_REFERENCE):
             kp, ki, kd = self._gains[axis]
@@ -72,6 +74,24 @@ class PID(Law):
                 u = free + scale * ki * self._integral[axis]
             self._action[axis] = min(max(u, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
         return self._action
+
+    def linear(self) -> LinearLaw:
+        """Return the law with its integrals as memory; they do not rest at a limit."""
+        maps, memory = np.zeros((N_ACTION + N_MEMORY, N_MEMORY + N_SEEN)), np.zeros(N_MEMORY)
+        memory[:N_REFERENCE] = self._integral
+        v, memorised, seen = maps[:N_ACTION], maps[N_ACTION:], N_MEMORY
+        v[ACTION.de, seen + SEEN.one.start] = self.trim(self._ratio)
+        for axis, state in enumerate(TRACKED):
+            kp, ki, kd = self._gains[axis]
+            scale = SIGNS[axis] * self._ratio ** -self._schedule[axis]
+            asked, angle = seen + SEEN.reference.start + axis, seen + SEEN.x.start + state
+            memorised[axis, axis] = 1.0
+            memorised[axis, [asked, angle]] = self._dt, -self._dt
+            v[axis, axis] = scale * ki
+            v[axis, [asked, angle]] = np.array([1.0, -1.0]) * scale * (kp + ki * self._dt)
+            rate, increment = seen + SEEN.rate.start + axis, seen + SEEN.dx.start + state
+            v[axis, [rate, increment]] = scale * kd, -scale * kd / self._dt
+        return LinearLaw(maps, memory)
 
 
 assert [int(a) for a in ACTION] == [int(r) for r in REFERENCE], "loop i moves surface i"

@@ -1,0 +1,70 @@
+"""Networks and classical laws in one cast: all laws are kept up to date, and who flies is the cast's affair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from runtime.identification import IncrementalModel
+from runtime.laws.law import Law
+from runtime.population import BehaviouralPolicy
+from runtime.switching import Cast
+from task.laws import LinearLaw
+from task.state import N_ACTION
+
+
+class Ensemble:
+    """A :class:`runtime.policy.Policy`: the live network and the laws, of which one flies.
+
+    Every law sees every state and every command that was sent, so that its filters and estimates are right when its
+    turn comes. Parameters of a law cannot be averaged with a network's: a soft change is one of actions,
+
+        u = u_new + (1 - rho)^k (u_sent - u_new)[at the moment of the change],
+
+    k samples after it, so that no command steps; it needs nobody but the one that flies from then on.
+    """
+
+    def __init__(self, network: BehaviouralPolicy, laws: Sequence[Law], cast: Cast, model: IncrementalModel) -> None:
+        self._network, self._laws, self._cast, self._model = network, tuple(laws), cast, model
+        self.parameters = network.parameters
+        self._actions = [np.zeros(N_ACTION) for _ in laws]
+        self._sent, self._offset, self._action = np.zeros(N_ACTION), np.zeros(N_ACTION), np.zeros(N_ACTION)
+
+    def reset(self) -> None:
+        """Start a new flight."""
+        self._sent[:] = 0.0
+        for law in self._laws:
+            law.reset()
+
+    def restart_history(self) -> None:
+        """Forget the last samples, not what the laws have learnt."""
+        for law in self._laws:
+            law.restart_history()
+
+    def linear(self) -> list[LinearLaw]:
+        """Return how each law goes on from the last state."""
+        return [law.linear() for law in self._laws]
+
+    def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad] of whoever flies."""
+        found = self._model.effectiveness
+        for law, action in zip(self._laws, self._actions, strict=True):
+            if found is not None:  # what is believed to become of the commands
+                law.match(*found.hypotheses[found.evidence.believed])
+            np.copyto(action, law.steer(x, reference))
+        law_number = self._cast.law
+        wanted = self._network.steer(x, reference) if law_number is None else self._actions[law_number]
+        np.copyto(self._action, wanted)
+        if self._cast.handing_over:
+            if self._cast.taken:
+                np.subtract(self._sent, self._action, out=self._offset)
+                self._cast.taken = False
+            self._action += self._cast.blend * self._offset
+        return self._action
+
+    def sent(self, command: np.ndarray) -> None:
+        """Take what was sent."""
+        np.copyto(self._sent, command)
+        for law in self._laws:
+            law.sent(command)

@@ -1,0 +1,215 @@
+"""Classical laws as members of a cast: what the imagination is told of them, and how they take over."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyulog import ULog
+
+from runtime.config import Adaptation, resolve
+from runtime.ensemble import Ensemble
+from runtime.hypotheses import CROSSED, STRAIGHT
+from runtime.identification import IncrementalModel
+from runtime.laws.catalogue import LAWS, load_settings, make_law
+from runtime.loop import Outcome
+from runtime.population import BehaviouralPolicy, load_population
+from runtime.reference import RecordedReference
+from runtime.session import Session, members_of
+from runtime.switching import Action, Cast, Decision, Reason
+from sim_bridge.plant import NOMINAL, Plant
+from task.errors import UserError
+from task.laws import seen, step
+from task.limits import DT
+from task.metrics import nmae
+from task.observation import tracking_error
+from task.reference import base_reference
+from task.reward import REWARD_SCALE, terminated
+from task.state import N_IDENTIFIED
+
+ROWS = base_reference(40.0, 0.056)
+CITATION = Path(__file__).parents[2] / "populations" / "citation"
+SETTINGS = load_settings()
+
+
+@pytest.fixture(scope="module")
+def citation():
+    return load_population(CITATION)
+
+
+def flight(law, ticks, effect=lambda tick, sent: sent[-1], told=lambda tick, law: None, look=lambda *seen: None):
+    """Fly a law on the plant; ``effect``: what reaches the surfaces. Return the states of the flight."""
+    plant = Plant()
+    x = plant.reset(NOMINAL).copy()
+    states, sent = [x], []
+    for tick in range(ticks):
+        told(tick, law)
+        before = law.linear() if sent else None
+        action = law.steer(x, ROWS[tick]).copy()
+        look(tick, before, states, sent, action)
+        law.sent(action)
+        sent.append(action)
+        x = plant.step(effect(tick, sent)).copy()
+        states.append(x)
+        if terminated(x):
+            break
+    return np.array(states)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_what_the_imagination_is_told_of_a_law_is_what_the_law_does(name):
+    """At any moment, and going on from one moment with its own memory for three seconds."""
+    told, chained, done, memory = [], [], [], []
+
+    def look(tick, linear, states, sent, action):
+        if tick < 5:
+            return
+        dx = (states[-1] - states[-2])[:N_IDENTIFIED]
+        y = seen(states[-1][:N_IDENTIFIED], dx, sent[-2], ROWS[tick], (ROWS[tick] - ROWS[tick - 1]) / DT)
+        told.append(step(linear.maps, linear.memory, y)[0])
+        done.append(action)
+        if tick == 1500:
+            memory[:] = [linear.maps, linear.memory]
+        if 1500 <= tick < 1800:
+            u, memory[1] = step(*memory, y)
+            chained.append(u - action)
+
+    flight(make_law(name, SETTINGS), 1800, look=look)
+    moved = np.array(done).std(axis=0)
+    assert (moved > np.radians(0.05)).all()
+    assert (np.abs(np.array(told) - done).mean(axis=0) < 0.05 * moved).all()
+    assert (np.abs(np.mean(chained, axis=0)) < 0.1 * moved).all()
+
+
+def test_a_law_that_starts_again_is_told_to_go_on_as_it_did():
+    law = make_law("indi", SETTINGS)
+    flight(law, 50)
+    law.restart_history()
+    linear = law.linear()
+    command, _ = step(linear.maps, linear.memory, np.eye(30)[0])
+    np.testing.assert_array_equal(command, law._commands[-1])
+
+
+@pytest.mark.parametrize("name", ["indi", "indi-rls-signfree"])
+def test_late_commands_are_flown_by_an_indi_that_knows(name):
+    def late(tick, sent):
+        return sent[max(len(sent) - 16, 0)] if tick >= 500 else sent[-1]
+
+    def tell(tick, law):
+        law.match(15 if tick >= 500 else 0, STRAIGHT)
+
+    known = flight(make_law(name, SETTINGS), 3000, late, tell)
+    assert len(known) == 3001
+    error = nmae(tracking_error(known[1:], ROWS[:3000]))
+    assert error < 8.0
+    unknown = flight(make_law(name, SETTINGS), 3000, late)
+    assert len(unknown) < 3001 or nmae(tracking_error(unknown[1:], ROWS[:3000])) > 3.0 * error
+
+
+def test_crossed_surfaces_are_flown_by_an_indi_that_knows():
+    def crossed(tick, sent):
+        return sent[-1][list(CROSSED)] if tick >= 500 else sent[-1]
+
+    def tell(tick, law):
+        law.match(0, CROSSED if tick >= 505 else STRAIGHT)
+
+    known = flight(make_law("indi-rls-signfree", SETTINGS), 3000, crossed, tell)
+    assert len(known) == 3001
+    assert nmae(tracking_error(known[1:], ROWS[:3000])) < 3.0
+    assert len(flight(make_law("indi", SETTINGS), 3000, crossed)) < 3001
+
+
+def parts(citation, laws=("indi", "pid")):
+    settings = Adaptation(laws=laws)
+    network = BehaviouralPolicy(citation)
+    cast = Cast(network.parameters, citation.parameters, len(citation.members), 0.05)
+    model = IncrementalModel(settings, citation.command_lag, citation.theta, citation.p0)
+    return Ensemble(network, [make_law(name, SETTINGS) for name in laws], cast, model), cast
+
+
+def test_a_soft_change_to_or_from_a_law_steps_no_command(citation):
+    ensemble, cast = parts(citation)
+    indi, pid, network = len(citation.members), len(citation.members) + 1, citation.champion
+    assert cast.law == 0
+    plant = Plant()
+    x = plant.reset(NOMINAL).copy()
+    commands, changes = [], {700: network, 900: indi, 905: pid, 910: network, 1100: indi}
+    for tick in range(1400):
+        if tick in changes:
+            cast.take(Decision(Action.SOFT, changes[tick], Reason.BETTER, 1.0))
+        cast.step()
+        action = ensemble.steer(x, ROWS[tick]).copy()
+        ensemble.sent(action)
+        commands.append(action)
+        x = plant.step(action).copy()
+        assert not terminated(x)
+    steps = np.degrees(np.abs(np.diff(commands, axis=0)))
+    assert steps[690:].max() < 0.3
+    assert cast.law == 0
+    assert not cast.handing_over
+    assert cast.blend == 0.0
+    cast.take(Decision(Action.HARD, pid, Reason.BETTER, 1.0))
+    cast.step()
+    assert (cast.law, cast.blend) == (1, 0.0)
+
+
+def test_networks_are_still_averaged_and_laws_never_opposed(citation):
+    ensemble, cast = parts(citation)
+    cast.take(Decision(Action.HARD, 0, Reason.BETTER, 1.0))
+    cast.take(Decision(Action.SOFT, 1, Reason.BETTER, 1.0))
+    cast.step()
+    expected = 0.95 * citation.parameters[0] + 0.05 * citation.parameters[1]
+    np.testing.assert_allclose(ensemble.parameters, expected, atol=1e-6)
+    every = np.ones((len(citation.members),) * 2, dtype=bool)
+    strict = Cast(ensemble.parameters, citation.parameters, 0, 0.05, every)
+    assert strict.opposes(1)
+    assert not strict.opposes(len(citation.members))
+
+
+def test_names_that_do_not_fit_are_refused_in_one_line(citation):
+    assert members_of(citation, Adaptation(laws=("pid",)))[-1] == "pid"
+    with pytest.raises(UserError, match=r"first: expected one of .*, got 'nobody'"):
+        members_of(citation, Adaptation(first="nobody"))
+    with pytest.raises(UserError, match="laws"):
+        resolve(overrides=("laws=['pid', 'pid']",))
+    with pytest.raises(UserError, match=r"brings no laws\.onnx"):
+        citation._replace(laws=None).laws_graph()
+
+
+def fly(link, citation, log, *overrides):
+    with Session(link, citation, RecordedReference(ROWS), resolve("ensemble", None, overrides), log) as session:
+        return session.fly()[0]
+
+
+def test_an_ensemble_flies_well_and_saves_what_its_laws_lose(citation, plant_link, tmp_path):
+    healthy = plant_link(2000)
+    flown = fly(healthy, citation, tmp_path / "healthy.ulg")
+    assert flown.outcome is Outcome.OVER
+    assert nmae(tracking_error(np.array(healthy.x[:2000]), ROWS[:2000])) < 0.5
+    assert flown.summary.plays > 5
+
+    def reverse(tick, action):
+        return action * np.array([-1.0 if tick >= 1000 else 1.0, 1.0, 1.0])
+
+    # a PID flies first; the elevator reverses
+    log = tmp_path / "reversed.ulg"
+    saved = plant_link(2500, reverse)
+    flown = fly(saved, citation, log, "laws=['pid']", "first=pid")
+    assert flown.outcome is Outcome.OVER
+    flying = {t.name: t.data for t in ULog(str(log)).data_list}["cycle"]["member"]
+    assert flying[999] == len(citation.members)
+    assert flying[-1] != flying[999]
+
+
+def test_a_law_s_imagined_return_is_near_what_it_then_earns(citation, plant_link, tmp_path):
+    """The healthy aircraft: the imagination of the law that flies, against the flight that follows."""
+    link = plant_link(3000)
+    fly(link, citation, tmp_path / "f.ulg", "switch=none")
+    play = {t.name: t.data for t in ULog(str(tmp_path / "f.ulg")).data_list}["play"]
+    first = len(citation.members)
+    error = np.abs(tracking_error(np.array(link.x[:3000]), ROWS[:3000]))
+    reward = -np.clip(error * REWARD_SCALE, 0.0, 1.0).mean(axis=1)
+    asked = [t for t in play["tick_asked"] if t + 401 < 3000]
+    earned = np.array([reward[t + 1 : t + 401].sum() for t in asked])
+    imagined = play[f"returns[{first}]"][: len(asked)]
+    assert len(asked) > 8
+    assert np.abs(imagined - earned).mean() < 0.35 * np.abs(earned).mean() + 0.5
