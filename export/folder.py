@@ -15,7 +15,9 @@ import onnxruntime
 
 from export.behaviour import behaviour
 from export.card import CARD, card
+from export.golden import GoldenImagination
 from export.imagination import imagination
+from export.law_imagination import law_imagination
 from export.manifest import MANIFEST, Manifest, describe
 from export.network import unflatten
 from export.population import PARAMETERS, Population, checked
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
 BEHAVIOUR = "behaviour.onnx"
 IMAGINATION = "imagination.onnx"
+LAWS = "laws.onnx"
 PRIOR = "model_prior.npz"
 RATES = "rate_model.npz"
 TRAINING = "training"
@@ -84,6 +87,7 @@ def _fill(
     (folder / BEHAVIOUR).write_bytes(behaviour(population.network).SerializeToString())
     graph = imagination(population.network, population.parameters, lag)
     (folder / IMAGINATION).write_bytes(graph.SerializeToString())
+    (folder / LAWS).write_bytes(law_imagination(lag).SerializeToString())
     if records:
         (folder / TRAINING).mkdir()
     for record, source in records.items():
@@ -101,7 +105,7 @@ def session(path: Path) -> onnxruntime.InferenceSession:
 
 
 def verify(folder: Path, manifest: Manifest, population: Population, prior: Prior) -> None:
-    """Raise RuntimeError unless both graphs give the golden samples within their tolerances."""
+    """Raise RuntimeError unless all graphs give the golden samples within their tolerances."""
     golden = manifest.golden_actions
     policy = session(folder / BEHAVIOUR)
     worst = 0.0
@@ -113,18 +117,28 @@ def verify(folder: Path, manifest: Manifest, population: Population, prior: Prio
     _within("behaviour", worst, golden.tolerance)
 
     play = manifest.golden_imagination
+    asked = _question(play, prior)
+    members = asked | {"incumbent": population.parameters[play.incumbent]}
+    _within("imagination", _difference(folder / IMAGINATION, members, play.returns), play.tolerance)
+    laws = manifest.golden_laws
+    if laws is not None:
+        given = {"maps": np.array(laws.maps, dtype=np.float32), "memory": np.array(laws.memory, dtype=np.float32)}
+        _within("laws", _difference(folder / LAWS, asked | given, laws.returns), laws.tolerance)
+
+
+def _question(play: GoldenImagination, prior: Prior) -> dict[str, np.ndarray]:
+    """Return the inputs that every imagination has."""
     vectors = {name: np.array(getattr(play, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")}
-    returns = session(folder / IMAGINATION).run(
-        None,
-        {
-            **vectors,
-            "delay": np.array(play.delay),
-            "model": embed_reduced(prior.theta)[None].astype(np.float32),
-            "exact_kinematics": np.array(True),
-            "incumbent": population.parameters[play.incumbent],
-        },
-    )[0]
-    _within("imagination", float(np.abs(returns[0] - play.returns).max()), play.tolerance)
+    return {
+        **vectors,
+        "delay": np.array(play.delay),
+        "model": embed_reduced(prior.theta)[None].astype(np.float32),
+        "exact_kinematics": np.array(True),
+    }
+
+
+def _difference(graph: Path, question: dict[str, np.ndarray], returns: list[float]) -> float:
+    return float(np.abs(session(graph).run(["returns"], question)[0][0] - returns).max())
 
 
 def _within(graph: str, difference: float, tolerance: float) -> None:

@@ -6,25 +6,26 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from export.network import Network, Tensor, forward, layout, unflatten
+from export.golden import (
+    GoldenActions,
+    GoldenImagination,
+    GoldenLaws,
+    golden_actions,
+    golden_imagination,
+    golden_laws,
+)
+from export.network import Network, Tensor, layout
 from export.population import Member, Population
 from export.prior import COMMAND_LAG, Prior
-from export.rollout import MAX_DELAY, rollout
+from export.rollout import MAX_DELAY
 from task.config import Settings
 from task.limits import DT
-from task.model import DYNAMIC, REDUCED_REGRESSORS, embed_reduced
-from task.reference import cosine_steps
+from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.state import (
     ACTION,
     ACTION_TABLE,
-    N_ACTION,
     N_IDENTIFIED,
-    N_OBSERVATION,
-    N_REFERENCE,
     OBSERVATION,
-    REFERENCE,
     STATE,
     STATE_TABLE,
 )
@@ -32,10 +33,6 @@ from task.state import (
 FORMAT = "understudy-population"
 VERSION = 2
 MANIFEST = "manifest.json"
-
-GOLDEN_OBSERVATIONS = 4
-GOLDEN_STEPS = 50
-GOLDEN_DELAY = 3
 
 
 class SignalLayout(Settings, frozen=True):
@@ -53,34 +50,6 @@ class PriorLayout(Settings, frozen=True):
     """Rows of theta; an action's increment is that of the command which acts now (command lag)."""
     outputs: tuple[str, ...]
     """Columns of theta."""
-
-
-class GoldenActions(Settings, frozen=True):
-    """What each member must answer; computed in float64 from the float32 parameters."""
-
-    observations: list[list[float]]
-    """(n, 7)."""
-    actions: list[list[list[float]]]
-    """(P, n, 3) [rad]."""
-    tolerance: float
-    """Largest absolute difference that float32 explains [rad]."""
-
-
-class GoldenImagination(Settings, frozen=True):
-    """One small imagination; computed in float64 from the model prior embedded in (13, 10), kinematics exact."""
-
-    x: list[float]
-    dx: list[float]
-    commands: list[list[float]]
-    delay: int
-    """Of the commands, beyond ``command_lag`` [samples]."""
-    reference: list[list[float]]
-    incumbent: int
-    """The member whose parameters are the incumbent's."""
-    returns: list[float]
-    """(P + 1,)."""
-    tolerance: float
-    """Largest absolute difference that float32 explains."""
 
 
 class Manifest(Settings, frozen=True):
@@ -111,6 +80,8 @@ class Manifest(Settings, frozen=True):
     training: dict[str, Any]
     exported_with: dict[str, str]
     """Versions of what wrote this folder."""
+    golden_laws: GoldenLaws | None = None
+    """None in a folder of before there was a graph of laws."""
 
 
 def state_layout() -> tuple[SignalLayout, ...]:
@@ -142,46 +113,6 @@ def prior_layout() -> PriorLayout:
     )
 
 
-def golden_actions(population: Population, seed: int = 0) -> GoldenActions:
-    """Return observations of the size that flights bring, and every member's answer."""
-    rng = np.random.default_rng(seed)
-    size = np.full(N_OBSERVATION, 0.2)
-    observations = rng.uniform(-size, size, (GOLDEN_OBSERVATIONS, N_OBSERVATION)).astype(np.float32).astype(float)
-    tensors = unflatten(population.network, population.parameters.astype(float))
-    actions = np.stack([forward(population.network, tensors, s) for s in observations], axis=1)
-    return GoldenActions(observations=observations.tolist(), actions=actions.tolist(), tolerance=2e-5)
-
-
-def golden_imagination(population: Population, prior: Prior, lag: int = COMMAND_LAG) -> GoldenImagination:
-    """Return a disturbed start, a gentle reference and every member's return in the prior model."""
-    start = np.zeros(N_IDENTIFIED)
-    start[[STATE.p, STATE.q, STATE.r]] = 0.02, -0.01, 0.01
-    start[[STATE.V, STATE.h]] = 90.0, 2000.0
-    start[[STATE.alpha, STATE.beta, STATE.phi, STATE.theta, STATE.psi]] = 0.06, 0.01, 0.1, 0.05, 0.3
-    x = start.astype(np.float32).astype(float)
-    dx = np.float32(1e-4 * np.sin(np.arange(N_IDENTIFIED))).astype(float)
-    sent = N_ACTION * (lag + 1 + MAX_DELAY)
-    commands = np.float32(np.linspace(-0.02, 0.01, sent).reshape(-1, N_ACTION)).astype(float)
-    steps = np.zeros((GOLDEN_STEPS + 1, N_REFERENCE))
-    duration = (GOLDEN_STEPS + 1) * DT
-    steps[:, REFERENCE.theta] = cosine_steps(np.array([0.1, 0.0]), duration, duration)
-    steps[:, REFERENCE.phi] = cosine_steps(np.array([-0.1, 0.0]), duration, duration)
-    reference = steps.astype(np.float32).astype(float)
-    model = embed_reduced(prior.theta.astype(np.float32).astype(float))
-    parameters = np.concatenate([population.parameters, population.parameters[population.champion, None]])
-    imagined = rollout(population.network, parameters, x, dx, commands, GOLDEN_DELAY, model, True, reference)
-    return GoldenImagination(
-        x=x.tolist(),
-        dx=dx.tolist(),
-        commands=commands.tolist(),
-        delay=GOLDEN_DELAY,
-        reference=reference.tolist(),
-        incumbent=population.champion,
-        returns=imagined.returns.tolist(),
-        tolerance=1e-3,
-    )
-
-
 def file_hashes(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file below ``folder`` but the manifest."""
     paths = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST)
@@ -192,6 +123,7 @@ def describe(
     population: Population, prior: Prior, folder: Path, name: str, versions: dict[str, str], lag: int = COMMAND_LAG
 ) -> Manifest:
     """Return the manifest of a folder whose other files are written."""
+    play = golden_imagination(population, prior, lag)
     return Manifest(
         format=FORMAT,
         version=VERSION,
@@ -209,7 +141,8 @@ def describe(
         model_prior=prior_layout(),
         files=file_hashes(folder),
         golden_actions=golden_actions(population),
-        golden_imagination=golden_imagination(population, prior, lag),
+        golden_imagination=play,
         training=population.description.training,
         exported_with=versions,
+        golden_laws=golden_laws(play, prior),
     )

@@ -52,12 +52,12 @@ def test_both_sides_name_the_same_keys():
     for name in ("Manifest", "Layer", "Network", "Tensor", "Member", "SignalLayout", "PriorLayout"):
         written = getattr(export.manifest, name, None) or getattr(export.network, name)
         assert keys(written) == keys(getattr(runtime.manifest, name)), name
-    for name in ("GoldenActions", "GoldenImagination"):
+    for name in ("GoldenActions", "GoldenImagination", "GoldenLaws"):
         assert keys(getattr(export.manifest, name)) == keys(getattr(runtime.manifest, name)), name
 
 
 def test_both_sides_name_the_same_files_and_version():
-    for name in ("BEHAVIOUR", "IMAGINATION", "PRIOR"):
+    for name in ("BEHAVIOUR", "IMAGINATION", "LAWS", "PRIOR"):
         assert getattr(export.folder, name) == getattr(runtime.population, name)
     assert export.population.PARAMETERS == runtime.population.PARAMETERS
     assert export.manifest.MANIFEST == runtime.population.MANIFEST

@@ -25,12 +25,13 @@ def test_every_file_is_hashed_and_every_member_has_golden_samples(population_fol
     assert set(manifest["files"]) == files - {"manifest.json"}
     assert len(manifest["golden_actions"]["actions"]) == len(manifest["members"]) == 4
     assert len(manifest["golden_imagination"]["returns"]) == 5
+    assert len(manifest["golden_laws"]["returns"]) == len(manifest["golden_laws"]["maps"]) == 3
     assert manifest["champion"] == "actor-1"
     assert manifest["training"] == {"seed": 0}
 
 
 def test_the_graphs_pass_the_checker_and_carry_their_names(population_folder):
-    for name in ("behaviour", "imagination"):
+    for name in ("behaviour", "imagination", "laws"):
         model = onnx.load(population_folder / f"{name}.onnx")
         onnx.checker.check_model(model, full_check=True)
         assert model.graph.name == name
@@ -76,14 +77,19 @@ def test_an_older_population_is_replaced_and_anything_else_is_not(tmp_path, make
     assert (tmp_path / "diary" / "monday.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("graph", ["behaviour", "imagination"])
+@pytest.mark.parametrize("graph", ["behaviour", "imagination", "laws"])
 def test_a_graph_that_differs_from_its_reference_is_never_shipped(
     graph, tmp_path, make_actors, short_prior, monkeypatch
 ):
-    """Weights other than the population's in either graph: the golden samples find it."""
+    """Weights other than the population's, or laws that read the altitude: the golden samples find it."""
     if graph == "behaviour":
         wrong = folder_module.behaviour(Network(layers=SMALL.layers, action_scale=(0.1, 0.1, 0.1)))
         monkeypatch.setattr(folder_module, "behaviour", lambda network: wrong)
+    elif graph == "laws":
+        wrong = folder_module.law_imagination(1)
+        (mask,) = (i for i in wrong.graph.initializer if i.name == "read")
+        mask.CopyFrom(onnx.numpy_helper.from_array(np.ones(mask.dims, dtype=np.float32), mask.name))
+        monkeypatch.setattr(folder_module, "law_imagination", lambda lag: wrong)
     else:
         wrong = folder_module.imagination(SMALL, 2.0 * make_actors(SMALL).parameters, 1)
         monkeypatch.setattr(folder_module, "imagination", lambda *arguments: wrong)
