@@ -105,13 +105,12 @@ def golden_laws(play: GoldenImagination, prior: Prior) -> GoldenLaws:
     """Return stable laws by hand, which together read all of y and of c, and their returns in ``play``'s question."""
     maps = np.stack([_proportional(), _integral(), _dense()]).astype(np.float32).astype(float)
     memory = np.zeros((3, N_MEMORY))
-    memory[1:] = np.linspace(-1.0, 1.0, N_MEMORY) / 64.0
+    memory[1, :N_REFERENCE] = 1.0 / 32.0
+    memory[2] = np.round(16.0 * np.cos(np.arange(N_MEMORY))) / 8.0
     x, dx, commands, reference = (np.array(part) for part in (play.x, play.dx, play.commands, play.reference))
     model = embed_reduced(prior.theta.astype(np.float32).astype(float))
     imagined = rollout_laws(maps, memory, x, dx, commands, play.delay, model, True, reference)
-    return GoldenLaws(
-        maps=maps.tolist(), memory=memory.tolist(), returns=imagined.returns.tolist(), tolerance=play.tolerance
-    )
+    return GoldenLaws(maps=maps.tolist(), memory=memory.tolist(), returns=imagined.returns.tolist(), tolerance=1e-4)
 
 
 def _proportional() -> np.ndarray:
@@ -141,9 +140,14 @@ def _integral() -> np.ndarray:
 
 
 def _dense() -> np.ndarray:
-    """Return maps without a zero, so that no column can be taken for another."""
+    """Return maps without a zero, so that no column can be taken for another; each column moves the surfaces alike."""
     rows, columns = N_ACTION + N_MEMORY, N_MEMORY + N_SEEN
     maps = np.round(16.0 * np.sin(np.arange(rows * columns, dtype=float).reshape(rows, columns))) / 1024.0
-    maps[:, N_MEMORY:][:, SEEN.x][:, STATE.V] /= 256.0
+    y = maps[:, N_MEMORY:]
+    y[:, SEEN.x][:, STATE.V] /= 256.0
+    y[:, SEEN.dx] *= 256.0
+    y[:, SEEN.dx][:, [STATE.p, STATE.q, STATE.r]] /= 4.0
+    y[:, SEEN.acted] *= 8.0
+    maps[N_ACTION:, :N_MEMORY] += 15.0 / 16.0 * np.eye(N_MEMORY)
     maps[:N_ACTION] += _proportional()[:N_ACTION]
     return maps
