@@ -23,10 +23,13 @@ from runtime.session import Session
 from scenarios.campaign.flying import WorldLink
 from sim_bridge.flight import Flight
 from sim_bridge.plant import Plant
+from sim_bridge.world import World
+from task.limits import DT
 from task.metrics import channel_nmae, smoothness
 from task.observation import tracking_error
 from task.reference import base_reference
 from task.results import Claim, Result, Table, write
+from task.state import STATE
 
 DURATION = 80.0
 """Of a flight [s]."""
@@ -53,18 +56,18 @@ class Flown(NamedTuple):
 def fly(law: LawName, case: Case, folder: Path, duration: float = DURATION) -> Flown:
     """Fly a law through the runtime's loop; the log goes below ``folder``."""
     flight = Flight(duration=duration, condition=case.condition, sensors=case.sensors, faults=case.faults)
-    link = WorldLink(flight, Plant())
-    rows = base_reference(duration, link.trim_pitch)
+    world = World(flight, Plant())
+    rows = base_reference(duration, float(world.x[STATE.theta]))
+    link = WorldLink(world, rows)
     configuration = resolve(overrides=("prior=none",), switch="none")
     with Session(link, load_solo(law), RecordedReference(rows), configuration, folder / "flight.ulg") as session:
         (flown,) = session.fly()
-    states = np.array(link.x[: len(rows)])
-    error = tracking_error(states, rows[: len(states)])
+    x, command, _ = link.course.trace()
     cycle = flown.summary.cycle_us
     return Flown(
-        nmae=100.0 * channel_nmae(error),
-        smoothness=smoothness(np.array(link.commands)),
-        lost_at=flown.summary.seconds if flown.outcome is Outcome.LOST else None,
+        nmae=100.0 * channel_nmae(tracking_error(x, rows[: len(x)])),
+        smoothness=smoothness(command),
+        lost_at=len(x) * DT if flown.outcome is Outcome.LOST else None,
         cycle_us=cycle.p50 if cycle else 0.0,
     )
 

@@ -118,6 +118,13 @@ class Events:
         if heard[0] != switches or heard[1] < alarms:
             raise RuntimeError(f"heard of {heard} switches and alarms, the runtime counted {(switches, alarms)}")
 
+    def end(self, at: float) -> None:
+        """Forget what came at ``at`` [s] of the flight or later: the aircraft was lost by then."""
+        after = round(at - self._fault_at, 2)
+        self.alarms = [a for a in self.alarms if a < after]
+        kept = max(sum(a < after for a in self.switched_at), 1)  # who flew first flew
+        self.switched_at, self.switched_to = self.switched_at[:kept], self.switched_to[:kept]
+
 
 def score(cell: Cell, row: str, member: str, flown: Flown, events: Events) -> Record:
     """Return the figures of one flight."""

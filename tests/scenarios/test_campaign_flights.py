@@ -14,17 +14,27 @@ from export.mirrors import with_mirrors
 from export.network import Layer, Network, flatten
 from export.population import Description, Member, Population
 from export.rates import RateSettings, rate_model
-from runtime.population import load_population
+from runtime.config import Operation
+from runtime.guard import UNUSABLE, Guard
+from runtime.population import BehaviouralPolicy, load_population
 from scenarios.campaign.__main__ import main
-from scenarios.campaign.design import cells
+from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
+from scenarios.campaign.members import Members
 from scenarios.campaign.rows import Row, choose_rows
+from scenarios.campaign.scores import Events, score
 from scenarios.campaign.store import Journal, plain, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
+from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import Task, fly_all, plan
 from sim_bridge.conditions import NOMINAL
+from sim_bridge.faults import SensorBias
+from sim_bridge.plant import Plant
+from sim_bridge.world import World
 from task.errors import UserError
-from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION
+from task.limits import DT
+from task.reward import terminated
+from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION, STATE
 
 SECONDS = 14.0
 """Of these flights [s]; the fault comes between 8 and 12 s."""
@@ -65,12 +75,47 @@ def test_a_member_alone_flies_as_the_runtime_does_bit_by_bit(cast):
     with Flyer(load_population(cast)) as flyer:
         for cell in (REVERSED, ROUGH):
             runtime = plain(flyer.fly(cell, Row(name="none", changes=("switch=none",))))
-            alone = plain(flyer.fly_member(cell, 0))
+            alone = plain(flyer.fly_members(cell)[0])
             for ours in ("row", "member", "switched_at", "switched_to"):
                 runtime.pop(ours, None)
                 alone.pop(ours, None)
             assert alone == runtime
     assert alone["survived"]
+
+
+def slowly(cell, population, member):
+    """Fly one member alone with nothing shared and nothing left out, every sample past the last gate."""
+    world, policy, guard = World(cell.flight), BehaviouralPolicy(population), Guard(Operation())
+    rows = reference_rows(cell, float(world.x[STATE.theta]))
+    x, command = [], []
+    for k, reference in enumerate(rows):
+        if terminated(world.x):
+            break
+        who = member if k >= round(cell.fault_at / DT) else population.champion
+        np.copyto(policy.parameters, population.parameters[who])
+        unusable = guard.check_state(world.measured) & UNUSABLE
+        given = guard.fallback() if unusable else guard.command(policy.steer(world.measured, reference))
+        x.append(world.x.copy())
+        command.append(given[0].copy())
+        world.step(command[-1])
+    trace = Trace(np.array(x), np.array(command), rows)
+    return score(cell, "members", population.members[member], trace, Events(cell.fault_at, ""))
+
+
+def test_members_fly_together_as_each_alone(cast):
+    garbage = SensorBias(start=ROUGH.fault_at + 0.5, end=ROUGH.fault_at + 0.6, signal="h", bias=1e5)
+    unbelieved = msgspec.structs.replace(ROUGH.flight, faults=(*ROUGH.flight.faults, garbage))
+    held = msgspec.structs.replace(ROUGH, flight=unbelieved)
+    early = msgspec.structs.replace(ROUGH, flight=REVERSED.flight, fault_at=SECONDS - 1.0)
+    population = load_population(cast)
+    members, lost = Members(population, Plant()), 0
+    for cell, only in ((REVERSED, None), (held, [1]), (early, [3])):
+        together = members.fly(cell, only)
+        alone = [slowly(cell, population, m) for m in only or range(len(together))]
+        assert [plain(r) for r in together] == [plain(r) for r in alone]
+        lost += sum(not r.survived for r in together)
+    assert lost >= 7
+    assert members.fly(held, [0])[0].nmae != members.fly(ROUGH, [0])[0].nmae
 
 
 def test_flights_do_not_depend_on_those_before(cast):
