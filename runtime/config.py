@@ -134,6 +134,9 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     open_after: Positive = 0.03
     """From the alarm to the opening [s]: the samples that straddle the fault are not learnt from."""
 
+    recall: Positive = 0.1
+    """The filters open at what was known so long before the alarm [s]: since the fault the bias took it up."""
+
     open_time: Positive = 1.0
     """How long the filter stays open [s]."""
 

@@ -36,8 +36,8 @@ class RateFilters:
         self.s, self.P = np.zeros((size, N)), np.zeros((size, N, N))
         self.q = np.zeros((size, N))
         """Variance added at each prediction (M, 9)."""
-        self.r = 0.0
-        """Variance of each measured rate [rad2/s2]."""
+        self.r = np.zeros(RATES)
+        """Variance of each measured rate (3,) [rad2/s2]."""
         self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
         self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
         self.drift_step = np.zeros(RATES)
@@ -93,7 +93,7 @@ class RateFilters:
         np.copyto(self._P_columns, self._columns)
         np.add(self.variances, self.q, out=self.variances)
 
-    def update(self, w: np.ndarray) -> bool:
+    def update(self, w: np.ndarray | list[float]) -> bool:
         """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""
         np.subtract(w, self._w, out=self._innovation)
         np.copyto(self._S, self._P_rates)

@@ -14,11 +14,16 @@ import numpy as np
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, hypotheses
 from runtime.rate_filter import LAMBDA, B, N, RateFilters, W
+from runtime.shift import Shift
+from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
 from task.limits import DT
 from task.model import with_effectiveness
 from task.rates import KNEE, RATES, RateModel, washout
 from task.state import N_ACTION, N_IDENTIFIED, STATE
+
+AXIS = (1, 0, 2)
+"""Which of p, q, r elevator, aileron and rudder move most."""
 
 
 class Effectiveness:
@@ -31,6 +36,10 @@ class Effectiveness:
     """Samples that the alarm sums."""
     HOLD = 3
     """Samples for which an agile filter must lead."""
+    TURNING_NOISE = 0.02
+    """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
+    UNKNOWN = 0.25
+    """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
     BEYOND = 1e9
     """Largest normalised innovation; what is more, or no number, counts as this."""
 
@@ -50,11 +59,12 @@ class Effectiveness:
         self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
         self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
         self._least_q_bias = np.square(settings.q_bias).tolist()
-        self._shift_gain = min(dt / settings.shift_time, 1.0)
-        # Of a random walk's distance from its own running mean.
-        self._shift_variance = (np.square(settings.q_bias) / (2.0 * self._shift_gain)).tolist()
+        self._recent = np.zeros((max(round(settings.recall / dt), 1), N))
+        self._recalled, self._believed_before = np.zeros(N), np.ones(N_ACTION)
+        self.shift = Shift(settings.q_bias, settings.shift_time, dt)
         self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
+        self.stuck = Stuck(dt)
         self.increment = np.zeros(RATES)
         """What the model makes of the last increment of the rates (3,) [rad/s]: free of the sensors' noise."""
         self.believed = np.ones(N_ACTION)
@@ -76,9 +86,7 @@ class Effectiveness:
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
-        self.shift = 0.0
-        """How far the bias is from its running mean, in standard deviations."""
-        self._mean_bias = [0.0] * RATES
+        self.shift.restart([0.0] * RATES)
         self.agile_lead = [0.0] * N_ACTION
         """By how much each surface's agile filter leads the believed one [nats]."""
         self.alarms = self.restarts = 0
@@ -93,6 +101,7 @@ class Effectiveness:
         self._inputs.restart()
         self._nis = [0.0] * self.WINDOW
         self._led = 0
+        self.stuck.reset()
         self.alarmed = False
         """True at the sample at which an alarm was raised."""
         self.increment[:] = 0.0
@@ -163,15 +172,19 @@ class Effectiveness:
         if self._states and self._inputs.known:
             self._predict()
             self.unrest.hear(w)
-            f.r = self.unrest.noise_variance
-            if f.update(x[W]):
+            f.r[:] = self.unrest.noise_variance
+            if self.stuck.look(state, self.increment.tolist(), math.sqrt(self.unrest.noise_variance)):
+                self._back()
+            if self.stuck.any:
+                w = self._unstick(state)
+            if f.update(w):
                 self._weigh()
-                self._judge(x[W])
+                self._judge(w)
                 self._believe()
             else:
                 self.restarts += 1
                 self._start_anew(self.settings.effectiveness_sd_open)
-                f.s[:, W] = x[W]
+                f.s[:, W] = w
             self._model_increment()
         else:
             f.s[:, W] = x[W]
@@ -223,6 +236,9 @@ class Effectiveness:
             for least, level, new, old in zip(self._least_q_bias, levels, drift, self._drift or drift, strict=True)
         ]
         self._drift = drift
+        if self.stuck.any:
+            *_, alpha, beta = self.stuck.signals
+            f.q[:, B] += self.UNKNOWN * np.array((beta, alpha, beta))
         f.predict()
 
     def _model_increment(self) -> None:
@@ -242,7 +258,11 @@ class Effectiveness:
         ]
         lead = max(self.agile_lead)
         explains = agile + self.agile_lead.index(lead) if lead > evidence.behind[believed] else evidence.best
-        self.unrest.feel(f.surprise[explains])
+        surprise = f.surprise[explains]
+        if self.stuck.any:
+            p, q, r = (1.0 if blind else each for blind, each in zip(self.stuck.blind, surprise, strict=True))
+            surprise = p, q, r
+        self.unrest.feel(surprise)
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._since < self._open_at:
             self.agile_lead = [0.0] * N_ACTION
@@ -258,35 +278,18 @@ class Effectiveness:
         for surface, (found, variance) in enumerate(
             zip(f.s[i, LAMBDA].tolist(), f.variances[i, LAMBDA].tolist(), strict=True)
         ):
+            if self.stuck.any and self.stuck.blind[AXIS[surface]]:
+                continue
             margin = self.settings.belief_sd * math.sqrt(max(variance, 0.0))
             self.believed[surface] = min(max(self.believed[surface], found - margin), found + margin)
 
-    def _learn_shift(self) -> float:
-        """Return by how much the bias left its running mean, squared, in units of what is allowed for; 0 while open.
-
-        A surface that fails while it is little used surprises no single sample; the bias takes it up, too far for one.
-        """
-        if self._since < self._close_at:
-            return 0.0
-        bias = self.bias.tolist()
-        if self._since == self._close_at or not self.unrest.known:
-            self._mean_bias = bias
-            return 0.0
-        shifted = 0.0
-        for axis, (found, mean) in enumerate(zip(bias, self._mean_bias, strict=True)):
-            away = found - mean
-            self._mean_bias[axis] += self._shift_gain * away
-            shifted += away * away / (self._shift_variance[axis] * self.unrest.levels[axis])
-        self.shift = math.sqrt(shifted)
-        return shifted
-
-    def _judge(self, w: np.ndarray) -> None:
+    def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
         settings, f = self.settings, self.filter
         self._nis[self._states % self.WINDOW] = min(f.nis[self.evidence.best], self.BEYOND)
         self._since += 1
         if self._since == self._open_at:
-            f.s[:] = f.s[self.evidence.believed]
+            f.s[:] = self._recalled
             f.s[:, W] = w
             self._spread(settings.effectiveness_sd_open)
             self._q = self._q_open
@@ -296,15 +299,45 @@ class Effectiveness:
         if self.unrest.seen == self.unrest.LEARNING:  # what was taken for a change was noise not yet known
             self._start_anew(settings.effectiveness_sd)
             f.s[:, W] = w
-        shifted = self._learn_shift()
+        if self._since > self._close_at and self.unrest.known:
+            self.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
+        else:
+            self.shift.restart(self.bias.tolist())
         colour = 1.0 + settings.alarm_colour * math.log(max(self.unrest.levels))
         moved = any(lead > colour * need for lead, need in zip(self.agile_lead, settings.agile_lead, strict=True))
         self._led = self._led + 1 if moved else 0
-        if not self.unrest.known or self._since <= self._hold:
-            return
+        oldest = self._recent[self._states % len(self._recent)]
         surprised = sum(self._nis) > settings.alarm_threshold * colour
-        if surprised or shifted > settings.alarm_shift**2 or self._led >= self.HOLD:
+        if not self.unrest.known or self._since <= self._hold:
+            pass
+        elif surprised or self.shift.size > settings.alarm_shift or self._led >= self.HOLD:
             self.alarmed = True
             self.alarms += 1
             self.agile_lead = [0.0] * N_ACTION
             self._since = 0
+            np.copyto(self._recalled, oldest)
+            np.copyto(self._believed_before, self.believed)
+        np.copyto(oldest, f.s[self.evidence.believed])
+
+    def _unstick(self, x: list[float]) -> list[float]:
+        """Return the rates (3,) [rad/s] with the attitude's in place of those that are stuck."""
+        w = x[W]
+        for axis, told in enumerate(turning(self._x, x, self.rates.tolist(), self._dt)):
+            if self.stuck.signals[axis]:
+                w[axis], self.filter.r[axis] = told, self.TURNING_NOISE**2
+        return w
+
+    def _back(self) -> None:
+        """Undo what was learnt since a sensor stopped, and the opening that it may have asked for."""
+        f = self.filter
+        now = f.s[:, W].copy()
+        if self._since < self._close_at:
+            f.s[:], self.believed[:] = self._recalled, self._believed_before
+            if self._since >= self._open_at:
+                self._spread(self.settings.effectiveness_sd)
+                self._q = self._q_quiet
+            self._since = self._close_at
+        else:
+            f.s[:] = self._recent[self._states % len(self._recent)]
+        f.s[:, W] = now
+        self.evidence.forget()

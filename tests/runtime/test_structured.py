@@ -9,6 +9,7 @@ from runtime.hypotheses import CROSSED, STRAIGHT, Evidence, Inputs, hypotheses
 from runtime.identification import IncrementalModel
 from runtime.rate_filter import RateFilters
 from runtime.structured import Effectiveness
+from runtime.stuck import Stuck
 from runtime.switching import opposed
 from task.errors import UserError
 from task.limits import DT
@@ -37,9 +38,17 @@ class Aircraft:
         self.rng, self.noise = np.random.default_rng(seed), noise
         self.w, self.effect, self.sent = np.zeros(3), np.ones(3), [np.zeros(3)]
         self.tick, self.delay, self.order = 0, 0, [0, 1, 2]
+        self.attitude, self.stuck = np.zeros(3), {}
 
     def read(self):
-        return state(self.w + self.noise * self.rng.standard_normal(3))
+        x = state(
+            self.w + self.noise * self.rng.standard_normal(3), alpha=0.05 + 1e-9 * self.tick, beta=1e-9 * self.tick
+        )
+        held = [i for i, value in self.stuck.items() if value is not None]
+        x[held] = [self.stuck[i] for i in held]
+        self.stuck.update({i: x[i] for i in self.stuck})
+        x[STATE.phi], x[STATE.theta], x[STATE.psi] = self.attitude
+        return x
 
     def step(self, u):
         """One sample: the command of before acts now (command lag 1), or an older one."""
@@ -49,6 +58,12 @@ class Aircraft:
         terms = np.array(effect_terms(90.0, 0.05, qbar))
         acceleration = phi @ DRIFT + np.einsum("t,jta,j->a", terms, EFFECT, self.effect * acting)
         self.w = self.w + DT * acceleration
+        p, q, r = self.w
+        phi, theta, _ = self.attitude
+        turning = q * np.sin(phi) + r * np.cos(phi)
+        self.attitude = self.attitude + DT * np.array(
+            [p + turning * np.tan(theta), q * np.cos(phi) - r * np.sin(phi), turning / np.cos(theta)]
+        )
         self.sent = [*self.sent[-20:], u]
         self.tick += 1
 
@@ -228,6 +243,35 @@ def test_a_weak_reversal_while_the_surface_is_hardly_used_is_found():
     assert watch(found, aircraft, 150)
     assert found.effectiveness[0] < 0.0
     assert found.believed[0] < 0.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("signal", [STATE.p, STATE.q, STATE.r])
+def test_a_stuck_gyro_is_no_dead_surface_and_the_attitude_tells_the_rate_instead(noise, signal):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.stuck = {int(signal): None}
+    watch(found, aircraft, 400)
+    assert [i for i, stuck in enumerate(found.stuck.signals) if stuck] == [signal]
+    np.testing.assert_allclose(found.believed, 1.0, atol=0.15)
+    np.testing.assert_allclose(found.rates, aircraft.w, atol=0.02)
+    aircraft.stuck = {}
+    watch(found, aircraft, 100)
+    assert not found.stuck.any
+    aircraft.effect = np.array([-1.0, -1.0, 1.0])
+    watch(found, aircraft, 100)
+    np.testing.assert_allclose(found.effectiveness[:2], -1.0, atol=0.2)
+
+
+def test_symmetric_flight_is_no_stuck_sensor_and_an_angle_of_attack_that_stands_still_is():
+    stuck = Stuck(DT)
+    for k in range(20):  # roll, yaw and sideslip at rest, though the model has them move
+        assert not stuck.look(state((0.0, 0.01 * k, 0.0), alpha=0.05 + 1e-3 * k).tolist(), [1e-3, 1e-3, 1e-3], 1e-4)
+    told = [
+        stuck.look(state((1e-3 * k, 0.1 + 1e-6 * k, 1e-3 * k), beta=k).tolist(), [0.0] * 3, 1e-4) for k in range(20)
+    ]
+    assert told.index(True) == 5  # 0.1 rad/s turn the body by 5 mrad in five samples
+    assert stuck.signals == [False, False, False, True, False]
 
 
 def test_what_is_imagined_does_not_follow_an_uncertain_estimate():
