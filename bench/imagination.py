@@ -30,6 +30,7 @@ import click
 import numpy as np
 import onnxruntime
 
+from bench import imagination_laws
 from export.imagination import imagination
 from export.network import Layer, Network, n_parameters, unflatten
 from export.rollout import MAX_DELAY, rollout
@@ -153,15 +154,6 @@ def variants(case: Case, before: Callable[..., object] | None) -> dict[str, Call
             for matrix, vector, out in weights:
                 np.dot(matrix, vector, out=out)
 
-    square = rng.normal(size=(SQUARE, SQUARE)).astype(np.float32)
-    product = np.empty_like(square)
-    blocks = flop(case) / (2 * SQUARE**3)
-
-    def arithmetic() -> float:
-        start = time.perf_counter()
-        np.dot(square, square, out=product)
-        return blocks * (time.perf_counter() - start)
-
     return {
         "graph": play(imagination),
         "delay 20": play(imagination, delay=MAX_DELAY),
@@ -169,13 +161,26 @@ def variants(case: Case, before: Callable[..., object] | None) -> dict[str, Call
         **({"before": play(before)} if before else {}),
         "batched numpy": lambda: rollout(shape, actors, *asked[:3], 0, asked.model, True, asked.reference),
         "reading the weights": read_weights,
-        "arithmetic": arithmetic,
+        "arithmetic": arithmetic(flop(case)),
     }
 
 
-def measure(case: Case, rounds: int, before: Callable[..., object] | None) -> dict[str, float]:
+def arithmetic(operations: int) -> Callable[[], float]:
+    """Return what tells how long so many operations take [s] at the speed of a product of two large matrices."""
+    square = np.random.default_rng(SEED).normal(size=(SQUARE, SQUARE)).astype(np.float32)
+    product = np.empty_like(square)
+    blocks = operations / (2 * SQUARE**3)
+
+    def seconds() -> float:
+        start = time.perf_counter()
+        np.dot(square, square, out=product)
+        return blocks * (time.perf_counter() - start)
+
+    return seconds
+
+
+def measure(timed: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Return the median time of each variant [ms], taken in turns."""
-    timed = variants(case, before)
     samples: dict[str, list[float]] = {name: [] for name in timed}
     for turn in range(rounds + 1):
         for name, play in timed.items():
@@ -220,20 +225,24 @@ def main(rounds: int, revision: str | None) -> None:
     claims: list[Claim] = []
     ms: dict[str, float] = {}
     for case in CASES:
-        ms = measure(case, rounds, before)
+        ms = measure(variants(case, before), rounds)
         rows.append([case.label, *(round(v, 2) for v in ms.values()), round(1e3 * ms["graph"] / case.horizon, 1)])
         claims += claims_of(case.label, ms)
         click.echo(f"{case.label:44}" + "".join(f"  {name} {value:.2f}" for name, value in ms.items()) + " ms")
+    timed = imagination_laws.variants(question(imagination_laws.HORIZON)._asdict())
+    of_laws = measure({**timed, "arithmetic": arithmetic(imagination_laws.flop())}, rounds)
+    law_claims, law_table = imagination_laws.figures(of_laws)
     result = Result(
         title="One imagination of the whole cast",
         command="python -m bench.imagination" + (f" --before {revision}" if revision else ""),
         seconds=round(time.perf_counter() - began, 1),
         runs=rounds,
         seeds=[SEED],
-        claims=claims,
+        claims=claims + law_claims,
         tables=[
             Table(title="Median of one imagination, one thread",
-                  columns=["case", *(f"{name} [ms]" for name in ms), "graph [us/step]"], rows=rows)
+                  columns=["case", *(f"{name} [ms]" for name in ms), "graph [us/step]"], rows=rows),
+            law_table,
         ],
         notes=[
             "thesis: networks of the thesis's shape, layer norm included; small: 7-32-32-3; law: 7-3.",
@@ -241,6 +250,8 @@ def main(rounds: int, revision: str | None) -> None:
             "3 and 8 models: the whole cast in each of them, in one call.",
             "Reading the weights: one matrix-vector product over all actors' weights per layer and step.",
             f"Arithmetic: the products' operations at the speed of a {SQUARE} x {SQUARE} product on the same core.",
+            "Laws: linear controllers with integrals; dispatch: its loop's nodes, each at the cost of adding three "
+            "numbers.",
             *([f"Before: the graph of revision {revision}, without delay and with one model."] if revision else []),
         ],
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import onnx
 import onnxruntime
@@ -175,19 +177,20 @@ class PID:
     P, I, D = (-1.2, -0.6, 0.8), (-0.4, -0.2, 0.3), (-0.4, -0.2, 0.2)  # noqa: E741
     SMOOTHING = 0.3
 
-    def __init__(self, integral: list[float]) -> None:
+    def __init__(self, integral: list[float], asked_before: np.ndarray, beta_before: float) -> None:
         self.integral = list(integral)
-        self.before: np.ndarray | None = None
+        self.before, self.beta = asked_before, beta_before
 
-    def steer(self, x: np.ndarray, beta_before: float, acted: np.ndarray, asked: np.ndarray, first_rate: np.ndarray):
-        wanted = first_rate if self.before is None else (asked - self.before) / DT
-        self.before = asked
+    def steer(self, x: np.ndarray, acted: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        wanted = (asked - self.before) / DT
+        beta_rate = (x[STATE.beta] - self.beta) / DT
+        self.before, self.beta = asked, float(x[STATE.beta])
         errors = (
             asked[REFERENCE.theta] - x[STATE.theta],
             asked[REFERENCE.phi] - x[STATE.phi],
             asked[REFERENCE.beta] - x[STATE.beta],
         )
-        rates = (x[STATE.q], x[STATE.p], (x[STATE.beta] - beta_before) / DT)
+        rates = (x[STATE.q], x[STATE.p], beta_rate)
         u = []
         for axis in range(3):
             rate_error = wanted[axis] - rates[axis]
@@ -218,16 +221,18 @@ class PID:
         return maps
 
 
-def flown_by_itself(pid: PID, question: Question, lag: int) -> float:
+def flown_by_itself(integral: list[float], question: Question, lag: int) -> float:
     """Return the PID's return in the model, one flight, sample by sample."""
     x, dx = question.x.copy(), question.dx.copy()
+    # before the first sample: the sideslip that dx tells of, and a reference that has moved as it will move
+    asked_before = 2.0 * question.reference[0] - question.reference[1]
+    pid = PID(integral, asked_before, float(x[STATE.beta] - dx[STATE.beta]))
     sent = list(question.commands)
     total, alive = 0.0, True
-    for t, (asked, following) in enumerate(zip(question.reference[:-1], question.reference[1:], strict=True)):
+    for asked, following in itertools.pairwise(question.reference):
         late = lag + question.delay
         acted = sent[-1 - late]
-        first_rate = (following - asked) / DT
-        command = pid.steer(x, float(x[STATE.beta] - dx[STATE.beta]), acted, asked, first_rate if t == 0 else asked)
+        command = pid.steer(x, acted, asked)
         sent.append(np.minimum(np.maximum(command, -DEFLECTION_LIMIT), DEFLECTION_LIMIT))
         dx = predict_increment(x, dx, sent[-1 - late] - acted, question.models[0], question.exact)
         x = x + dx
@@ -242,7 +247,7 @@ def flown_by_itself(pid: PID, question: Question, lag: int) -> float:
 def test_a_pid_in_maps_flies_as_the_pid_itself(delay, lag, graphs, nominal_model):
     question = Question(nominal_model, lag, delay, horizon=300)
     integral = [0.02, -0.03, 0.01]
-    alone = flown_by_itself(PID(integral), question, lag)
+    alone = flown_by_itself(integral, question, lag)
     memory = np.zeros((1, N_MEMORY))
     memory[0, :3] = integral
     maps = PID.maps()[None]
