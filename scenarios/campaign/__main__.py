@@ -54,14 +54,14 @@ def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, cou
 
 def result(campaign: Campaign, information: dict[str, str], seconds: float, ours: str) -> Result:
     """Return the result file of a campaign."""
-    flights = [r for row in campaign.rows.values() for r in row.values()]
     faithful = "serl50" in information["population"]
+    laws = f", the laws {', '.join(campaign.oracle_laws)} among them" * bool(campaign.oracle_laws)
     robust = ", ".join(f"{suite}: {member}" for suite, member in sorted(campaign.robust.items()))
     return Result(
         title=f"The campaign: {information['population']}, half '{information['half']}'",
         command=information["command"],
         seconds=round(seconds, 1),
-        runs=len(flights) + sum(map(len, campaign.members.values())),
+        runs=campaign.flown,
         seeds=[],
         claims=claims(campaign, ours, faithful),
         tables=tables(campaign),
@@ -70,8 +70,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
             "fault to the end of the flight of 40 s, also where there is no fault; those of lost flights are left out, "
             "and the loss is counted.",
             f"none: the champion throughout. robust: the one member that is best over the suite ({robust}), found on "
-            "these very flights. oracle: of each flight the best member in hindsight. Both from the moment of the "
-            "fault on; until then the champion flies.",
+            "these very flights. oracle: of each flight the best member in hindsight{laws}. Members fly from the moment "
+            "of the fault on, until then the champion does.",
             "A suited member survives with at most 1.2 times the oracle's nMAE plus 0.2 points; its time counts from "
             "the fault to the first change of the cast to such a member.",
             "Laws: gains tuned for the Citation (docs/laws.md). They are peers, not members of this cast.",
@@ -91,6 +91,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
 @click.option("--ours", default="structured", show_default=True, help="The row that the claims are about.")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
+@click.option("--oracle-laws", "laws", default="",
+              help="Comma-separated rows that the oracle may choose besides the members: pid, indi, ...")  # fmt: skip
 @click.option("--quick", is_flag=True, help="A few minutes: four faults, five rows, two references of each.")
 @click.option("--jobs", type=click.IntRange(1, 64), help="Processes.  [default: 2]")
 @click.option("--out", type=Path, help="Where flights and report go.  [default: flights/campaign/POPULATION-HALF]")
@@ -100,7 +102,7 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
 def main(
     suites: tuple[str, ...], faults: tuple[str, ...], half: Half, count: int, population: str, rows: str | None,
-    extra: tuple[str, ...], ours: str, robust: str, quick: bool, jobs: int | None, out: Path | None,
+    extra: tuple[str, ...], ours: str, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
     results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
 ) -> None:  # fmt: skip
     """Fly the campaign, or what of it was not flown yet; write flights (Parquet), tables and figures."""
@@ -113,6 +115,7 @@ def main(
         command = command_line({
             "--suite": suites, "--fault": faults, "--half": half, "--references": str(count),
             "--population": population, "--rows": rows or (), "--row": extra, "--ours": ours, "--robust": robust or (),
+            "--oracle-laws": laws or (),
         }) + " --quick" * quick  # fmt: skip
         if quick:
             faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
@@ -133,7 +136,7 @@ def main(
         }  # fmt: skip
         write_parquet(records, where / "campaign.parquet", information)
         screen.print("[dim]" + cost(done) + "[/]")
-    campaign = Campaign(records, information["champion"], robust)
+    campaign = Campaign(records, information["champion"], robust, [law.strip() for law in laws.split(",") if law])
     found = result(campaign, information, spent, ours)
     write("campaign", found, where)
     (where / "report.md").write_text(page({"campaign": found}))

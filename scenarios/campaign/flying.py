@@ -91,10 +91,11 @@ class Flyer:
         world = World(cell.flight, self._plant)
         rows = reference_rows(cell, float(world.x[STATE.theta]))
         link = WorldLink(world, rows)
-        events = Events(cell.fault_at, self._population.manifest.champion if row.law is None else "")
         who = self._population if row.law is None else self._law(row.law)
         log = Path(self._folder.name) / "flight.ulg"
         configuration = row.configuration(cell.preview)
+        first = configuration.adaptation.first or self._population.manifest.champion
+        events = Events(cell.fault_at, first if row.law is None else "")
         with Session(link, who, RecordedReference(rows), configuration, log, events.hear) as session:
             (flown,) = session.fly()
         events.check(flown.summary.switches, flown.summary.alarms)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scenarios.campaign.design import DURATION
 from scenarios.campaign.rows import DERIVED, MEMBERS, NONE, ORACLE
 from scenarios.campaign.scores import Record
-from scenarios.campaign.statistics import Key, mean, median, of_oracle, paired, survival
+from scenarios.campaign.statistics import Key, alive, mean, median, of_oracle, paired, survival, wilson
 from scenarios.campaign.suites import SUITES, load_suite
 from scenarios.campaign.table import Campaign
 from task.results import Table
 
+REVERSALS = ("reversal", "second reversal", "reversal with latency")
+"""Groups in which a surface works backwards and nothing else is broken but time."""
 STEADY_SIDESLIP = ("hardover", "jam", "engine")
 """Groups of faults that leave a constant sideslip."""
 SLICES = ("sensors", "air", "trim", "moment", "references", "preview")
@@ -37,7 +39,8 @@ def rows_of(campaign: Campaign) -> list[str]:
 def suite_table(campaign: Campaign, suite: str) -> Table:
     """Return one row for each way of adapting over a whole suite."""
     columns = [
-        "row", "flights", "survive %", "of the oracle's %", "nMAE %", "theta %", "phi %", "|beta| deg", "over oracle",
+        "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "95 % from", "to",
+        "nMAE %", "theta %", "phi %", "|beta| deg", "over oracle",
         "Sm rad Hz", "largest step deg", "switches", "alarms", "suited member s", "worst s", "never %",
     ]  # fmt: skip
     oracle = campaign.pick(ORACLE, suite)
@@ -50,7 +53,7 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
         times = campaign.casting(flights) if kept and kept[0].switched_to else []
         known = [t for t in times if math.isfinite(t)]
         body.append([
-            row, len(flights), short(survival(flights)), short(survival(flights, oracle)),
+            row, len(flights), *rate(flights, oracle), *rate(flights),
             *(short(mean([getattr(r, name) for r in kept])) for name in ("nmae", "nmae_theta", "nmae_phi", "beta_deg")),
             short(of_oracle(flights, oracle), 3), short(median([r.smoothness for r in kept]), 3),
             short(max((r.largest_step for r in kept), default=math.nan), 3),
@@ -59,6 +62,24 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
             short(100.0 * (len(times) - len(known)) / len(times) if times else math.nan, 3),
         ])  # fmt: skip
     return Table(title=f"Suite {suite}: every row", columns=columns, rows=body)
+
+
+def rate(flights: Mapping[Key, Record], among: Mapping[Key, Record] | None = None) -> list[Any]:
+    """Return survival with its 95 % interval [%], of all flights or of those that ``among`` survived."""
+    return [short(v) for v in (survival(flights, among), *wilson(*alive(flights, among)))]
+
+
+def oracle_table(campaign: Campaign, suite: str) -> Table:
+    """Return the median nMAE over the oracle's, over what both survive: reversals, all others, then every group."""
+    rows, oracle = [row for row in rows_of(campaign) if row != ORACLE], campaign.pick(ORACLE, suite)
+    groups = list(dict.fromkeys(r.group for r in oracle.values()))
+    others = [g for g in groups if g not in REVERSALS]
+    body = []
+    for name, wanted in (("reversals", REVERSALS), ("others", others), *((g, (g,)) for g in groups)):
+        picked = [by_group(campaign, row, suite, wanted) for row in rows]
+        if oracle and any(picked):
+            body.append([name, *(short(of_oracle(flights, oracle), 3) for flights in picked)])
+    return Table(title=f"Suite {suite}: median nMAE over the oracle's, by group", columns=["group", *rows], rows=body)
 
 
 def paired_table(campaign: Campaign, suite: str, against: str) -> Table:
@@ -179,6 +200,7 @@ def tables(campaign: Campaign) -> list[Table]:
     found = []
     for suite in campaign.suites:
         found.append(suite_table(campaign, suite))
+        found.append(oracle_table(campaign, suite))
         found += [paired_table(campaign, suite, row) for row in DERIVED if row in campaign.rows]
         found += [fault_table(campaign, suite), sideslip_table(campaign, suite), slice_table(campaign, suite)]
     found.append(quiet_table(campaign))

@@ -97,8 +97,7 @@ def _share(count: int, of: int) -> float:
 
 def survival(flights: Flights, among: Flights | None = None) -> float:
     """Return the share of flights that survived [%], of all or of those that ``among`` survived; NaN of none."""
-    kept = [r for k, r in flights.items() if among is None or (k in among and among[k].survived)]
-    return _share(sum(r.survived for r in kept), len(kept))
+    return _share(*alive(flights, among))
 
 
 def mean(values: Sequence[float]) -> float:
@@ -113,9 +112,24 @@ def median(values: Sequence[float]) -> float:
     return statistics.median(known) if known else math.nan
 
 
+def alive(flights: Flights, among: Flights | None = None) -> tuple[int, int]:
+    """Return how many flights survived and of how many, of all or of those that ``among`` survived."""
+    kept = [r for k, r in flights.items() if among is None or (k in among and among[k].survived)]
+    return sum(r.survived for r in kept), len(kept)
+
+
+def wilson(survivors: int, flights: int) -> tuple[float, float]:
+    """Return the 95 % interval of Wilson for a rate [%]; NaN of none."""
+    if not flights:
+        return math.nan, math.nan
+    found = stats.binomtest(survivors, flights).proportion_ci(CONFIDENCE, method="wilson")
+    return 100.0 * float(found.low), 100.0 * float(found.high)
+
+
 def of_oracle(ours: Flights, oracle: Flights) -> float:
-    """Return the mean nMAE over the oracle's, over the flights that both survived [-]."""
-    return 1.0 + paired(ours, oracle).of_means / 100.0
+    """Return the median of the flights' nMAE over the oracle's, over those that both survived [-]."""
+    both = [k for k, r in ours.items() if r.survived and k in oracle and oracle[k].survived]
+    return median([ours[k].nmae / oracle[k].nmae for k in both])
 
 
 SUITED_RATIO, SUITED_OFFSET = 1.2, 0.2
@@ -123,7 +137,7 @@ SUITED_RATIO, SUITED_OFFSET = 1.2, 0.2
 
 
 def suited(members: Sequence[Record]) -> set[str]:
-    """Return the members that fly one flight about as well as its best one; none when all are lost."""
+    """Return who flies one flight about as well as the best of ``members``; nobody when all are lost."""
     kept = [m for m in members if m.survived]
     if not kept:
         return set()

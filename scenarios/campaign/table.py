@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
@@ -16,13 +16,24 @@ from task.errors import UserError
 class Campaign:
     """All flights of one half, by row and flight."""
 
-    def __init__(self, records: Iterable[Record], champion: str, robust: str = "") -> None:
-        """Sort the flights; ``champion``: who flies first; ``robust``: the member of that row, found when not given."""
+    def __init__(
+        self, records: Iterable[Record], champion: str, robust: str = "", oracle_laws: Sequence[str] = ()
+    ) -> None:
+        """Sort the flights.
+
+        champion: who flies first; robust: the member of that row, found when not given; oracle_laws: rows of laws that
+        the oracle may choose besides the members. Raises UserError when one of them is not there.
+        """
         self.rows: dict[str, dict[Key, Record]] = defaultdict(dict)
         """Row, then flight."""
         self.members: dict[Key, list[Record]] = defaultdict(list)
-        """Flight: one record for each member."""
+        """Flight: one record for each member; with the oracle's laws once these are among its choices."""
+        self.flown = 0
+        """Flights, those of members among them."""
+        self.oracle_laws = tuple(oracle_laws)
+        """Laws that the oracle may choose."""
         for record in records:
+            self.flown += 1
             if record.row == MEMBERS:
                 self.members[key(record)].append(record)
             else:
@@ -31,11 +42,24 @@ class Campaign:
         """Suite: the member of its row ``robust``."""
         for suite in {k[0] for k in self.members}:
             self.robust[suite] = robust or self._most_robust(suite)
+        self._add_laws()
         for k, flights in self.members.items():
             self._derive(k, flights, champion)
         order = [*DERIVED, *known_rows()]
         names = sorted(self.rows, key=lambda name: (order.index(name) if name in order else len(order), name))
         self.rows = {name: self.rows[name] for name in names}
+
+    def _add_laws(self) -> None:
+        """Join the flights of laws with those of the members of the same cells, as members of the law's name."""
+        for law in self.oracle_laws:
+            if law not in self.rows or not self.members:
+                raise UserError(
+                    f"--oracle-laws {law}: the oracle needs the flights of this row and those of the members; "
+                    f"give --rows members,{law}"
+                )
+            for k, record in self.rows[law].items():
+                if k in self.members:
+                    self.members[k].append(msgspec.structs.replace(record, row=MEMBERS, member=law))
 
     def _most_robust(self, suite: str) -> str:
         """Return the member that survives most flights of a suite; of those the one with the least mean nMAE."""

@@ -10,7 +10,7 @@ import pytest
 from scenarios.campaign.claims import claims
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
-from scenarios.campaign.statistics import interval, key, paired, suited, survival, time_to_suited
+from scenarios.campaign.statistics import interval, key, paired, suited, survival, time_to_suited, wilson
 from scenarios.campaign.table import Campaign
 from task.errors import UserError
 
@@ -105,15 +105,62 @@ def test_times_are_taken_where_a_change_is_asked_for():
 
 def test_claims_are_figures_of_the_flights_and_may_fail():
     found = {c.claim: c for c in claims(campaign(), "structured", faithful=False)}
-    alive = found["structured, hard, sensors ideal: survives of what the oracle survives"]
+    where = "structured, hard, still air, sensors ideal"
+    alive = found[f"{where}: survives of what the oracle survives"]
     assert (alive.value, alive.target, alive.holds) == (pytest.approx(66.67), ">= 98", False)
-    peer = found["structured, hard: survival less the best peer's (robust)"]
+    peer = found["structured, hard, all: survival less the best peer's (robust)"]
     assert (peer.value, peer.holds) == (0.0, True)
-    ratio = found["structured, reversals: mean nMAE over the oracle's"]
-    assert (ratio.value, ratio.holds) == (pytest.approx(2.4 / 2.2, rel=1e-3), True)
-    time = found["structured, reversals: time to a suited member, median"]
+    ratio = found[f"{where}, reversals: nMAE over the oracle's, median"]
+    assert (ratio.value, ratio.holds) == (pytest.approx((1.1 + 1.3 / 1.2) / 2, rel=1e-3), True)
+    time = found["structured, reversals, still air: time to a suited member, median"]
     assert (time.value, time.holds) == (0.25, True)
     assert claims(campaign(), "not flown", faithful=False) == []
+
+
+def test_targets_are_held_against_still_air_and_stated_sensors_alone():
+    levels = (("still", "ideal", 1.1), ("still", "noise", 1.2), ("light", "noise", None), ("moderate", "ideal", None),
+              ("still", "twice the noise", None))  # fmt: skip
+    records = []
+    for i, (air, sensors, nmae) in enumerate(levels):
+        records += [flight("members", i, 1.0, "good", air=air, sensors=sensors)]
+        records += [flight("structured", i, nmae, air=air, sensors=sensors)]
+    records += [flight("pid", i, 1.0) for i in (0, 1)]
+    found = {c.claim: c for c in claims(Campaign(records, "good"), "structured", faithful=False)}
+
+    def held(words: str) -> tuple:
+        claim = found[f"structured, hard, {words}"]
+        return claim.value, claim.target, claim.holds
+
+    survives = "survives of what the oracle survives"
+    assert held(f"all: {survives}") == (40.0, "", None)
+    assert held(f"still air, sensors ideal: {survives}") == (100.0, ">= 98", True)
+    assert held(f"still air, sensors noise: {survives}") == (100.0, ">= 97", True)
+    assert held(f"still air, sensors twice the noise: {survives}") == (0.0, "", None)
+    assert held("light turbulence: survival lost against still air, of what the oracle survives")[1:] == ("< 2", False)
+    assert held("moderate turbulence: survival lost against still air, of what the oracle survives")[1:] == ("", None)
+    assert held("all: survival less the best peer's (robust)") == (
+        -60.0,
+        ">= 0",
+        False,
+    )  # pid flew two that both survive
+
+
+def test_the_oracle_may_choose_laws_too():
+    records = [flight("members", i, n, "net") for i, n in enumerate((1.0, None))]
+    records += [flight("pid", i, 0.5, switched_to=[]) for i in range(3)]
+    with_law = Campaign(records, "net", oracle_laws=["pid"])
+    assert [(r.member, r.nmae) for r in with_law.pick("oracle").values()] == [("pid", 0.5)] * 2
+    assert {r.member for r in with_law.pick("robust").values()} == {"net"}
+    assert [r.nmae for r in with_law.pick("pid").values()] == [0.5] * 3
+    assert [r.survived for r in Campaign(records, "net").pick("oracle").values()] == [True, False]
+    with pytest.raises(UserError, match="--oracle-laws indi: the oracle needs the flights"):
+        Campaign(records, "net", oracle_laws=["indi"])
+
+
+def test_wilsons_interval():
+    assert wilson(8, 10) == pytest.approx((49.02, 94.33), abs=0.01)
+    assert wilson(10, 10) == pytest.approx((72.25, 100.0), abs=0.01)
+    assert math.isnan(wilson(0, 0)[0])
 
 
 def test_tables_show_losing_rows_beside_winning_ones():
@@ -122,11 +169,14 @@ def test_tables_show_losing_rows_beside_winning_ones():
     assert faults.rows == [["elevator x -1", "1/3, 1.00", "2/3, 1.40", "3/3, 1.20", "2/3, 1.20", "1/3, 0.50"]]
     suite = by_title["Suite hard: every row"]
     ours = dict(zip(suite.columns, suite.rows[3], strict=True))
-    assert (ours["row"], ours["of the oracle's %"], ours["suited member s"]) == (
+    assert (ours["row"], ours["survive of the oracle's %"], ours["suited member s"]) == (
         "structured",
         pytest.approx(66.67),
         0.25,
     )
+    ratios = by_title["Suite hard: median nMAE over the oracle's, by group"]
+    assert ratios.columns == ["group", "none", "robust", "structured", "pid"]
+    assert ratios.rows == [[name, 1.0, 1.0, 1.09, 0.5] for name in ("reversals", "reversal")]
     against = by_title["Suite hard: change of nMAE against none, flight by flight"]
     pid = dict(zip(against.columns, against.rows[-1], strict=True))
     assert (pid["row"], pid["mean change %"], pid["neither lost"]) == ("pid", -50.0, 1)
