@@ -70,8 +70,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
             "fault to the end of the flight of 40 s, also where there is no fault; those of lost flights are left out, "
             "and the loss is counted.",
             f"none: the champion throughout. robust: the one member that is best over the suite ({robust}), found on "
-            "these very flights. oracle: of each flight the best member in hindsight{laws}. Members fly from the moment "
-            "of the fault on, until then the champion does.",
+            f"these very flights. oracle: of each flight the best member in hindsight{laws}. Members fly from the "
+            "moment of the fault on, until then the champion does.",
             "A suited member survives with at most 1.2 times the oracle's nMAE plus 0.2 points; its time counts from "
             "the fault to the first change of the cast to such a member.",
             "Laws: gains tuned for the Citation (docs/laws.md). They are peers, not members of this cast.",
