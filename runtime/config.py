@@ -76,6 +76,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """The best member replaces the incumbent if its return R beats R_incumbent by margin * |R_incumbent|. Returns are
     negative: a margin of 0.5 asks the new member to lose at most half of what the incumbent is predicted to lose."""
 
+    least_lead: NotNegative = 0.0
+    """... and by this much more [-]: where all members fly closely, a share of next to nothing is chance. The return
+    of a sample lies between 0 and -1."""
+
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
 
@@ -196,6 +200,13 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     watch_period: Positive = 0.1
     """Time between imaginations while watching [s]."""
 
+    forecast_time: NotNegative = 0.0
+    """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
+    time constant [s]; 0 decides on each imagination alone."""
+
+    confirmations: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """So many imaginations in a row must name the same member before a change that no alarm asked for."""
+
     dwell: NotNegative = 0.0
     """Least time between two switches [s]."""
 
@@ -270,8 +281,14 @@ PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
     "structured": Adaptation(effectiveness="structured", identify=False),
     "ensemble": Adaptation(
-        effectiveness="structured", identify=False, laws=("indi-rls-signfree", "pid"), first="indi-rls-signfree"
-    ),
+        effectiveness="structured",
+        identify=False,
+        laws=("indi-rls-signfree", "pid"),
+        first="indi-rls-signfree",
+        least_lead=8.0,
+        forecast_time=0.2,
+        confirmations=2,
+    ),  # fmt: skip
     "thesis": Adaptation(
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
     ),

@@ -8,6 +8,7 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.ensemble import Ensemble
+from runtime.forecast import Forecast, belief
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
 from runtime.reference import Reference
@@ -83,7 +84,9 @@ class Plays:
         self._next = self._period
         self._alarm_at = self._watch_until = -1
         self._switched_at = -np.inf
-        self._vote = -1
+        self._forecast = Forecast(settings.forecast_time)
+        self._belief: tuple[np.ndarray, int] | None = None
+        self._candidate, self._votes = -1, 0
 
     def step(self, tick: int, t: float) -> Played | None:
         """Do what is due at a sample: return the decision that falls here, ask the next question.
@@ -102,6 +105,7 @@ class Plays:
             else:
                 self._imagination.request(self._snapshot(t), tick)
                 self._asked_at = tick
+                self._belief = belief(self._model.effectiveness)
                 self.asked += 1
             watching = tick < self._watch_until
             self._next = tick + self._watch_period if watching else (tick // self._period + 1) * self._period
@@ -135,23 +139,36 @@ class Plays:
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
         overtaken = asked <= self._alarm_at
-        returns, unsafe = prediction.returns.mean(axis=0), self._dt * prediction.unsafe.mean(axis=0)
+        returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief)
+        unsafe = self._dt * prediction.unsafe.mean(axis=0)
         decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken)
-        decision = self._careful(decision, tick < self._watch_until)
+        decision = self._careful(decision, tick)
         if decision.action is not Action.KEEP:
             self._switched_at = tick
-        return Played(returns, unsafe, age, asked, decision, prediction.error)
+        played = Played(returns.copy(), unsafe, age, asked, decision, prediction.error)
+        if decision.action is not Action.KEEP:
+            self._forecast.follow(decision.member)
+        return played
 
-    def _careful(self, decision: Decision, watching: bool) -> Decision:
-        """Return the decision, hard when members must not be averaged, and put off when nothing but it speaks for it.
+    def _careful(self, decision: Decision, tick: int) -> Decision:
+        """Return the decision, hard when members must not be averaged, and put off when too little speaks for it.
 
-        A member that opposes the one that flies is right only when a surface works backwards. After an alarm one
-        imagination is enough; without, over a few seconds it can be the better one by chance, and two must agree.
+        After an alarm one imagination is enough. Without, a member can be the better one by chance, and
+        ``confirmations`` in a row must name it, the next of them asked for at once. One that opposes the member that
+        flies is right only when a surface works backwards, and needs two at least.
         """
-        vote, self._vote = self._vote, -1
-        if decision.action is Action.KEEP or not self._cast.opposes(decision.member):
+        if decision.action is Action.KEEP:
+            self._candidate = -1
             return decision
-        if not watching and self._model.effectiveness is not None and vote != decision.member:
-            self._vote = decision.member
+        opposed = self._cast.opposes(decision.member)
+        self._votes = self._votes + 1 if decision.member == self._candidate else 1
+        self._candidate = decision.member
+        needed = self._settings.confirmations
+        if opposed and self._model.effectiveness is not None:
+            needed = max(needed, 2)
+        if tick >= self._watch_until and self._votes < needed:
+            if self._settings.confirmations > 1:
+                self._next = tick
             return decision._replace(action=Action.KEEP, reason=Reason.UNCONFIRMED)
-        return decision._replace(action=Action.HARD)
+        self._candidate = -1
+        return decision._replace(action=Action.HARD) if opposed else decision

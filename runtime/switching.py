@@ -41,7 +41,7 @@ REASONS = {
     Reason.TOO_OLD: "the prediction is older than max_age",
     Reason.NO_PREDICTION: "no member has a finite predicted return",
     Reason.OVERTAKEN: "an alarm came after the question",
-    Reason.UNCONFIRMED: "without an alarm, one imagination is not enough to change to an opposed member",
+    Reason.UNCONFIRMED: "without an alarm, one imagination is not enough to change to this member",
     Reason.DWELL: "the last switch is younger than the dwell time",
     Reason.INCUMBENT_UNKNOWN: "the incumbent's own return is not finite; the best member takes over",
 }
@@ -74,7 +74,7 @@ def decide(
     since the last switch [s]; overtaken: whether an alarm came after the question, which was about an aircraft that is
     no more.
 
-    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent|.
+    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent| + least_lead.
     """
     members, incumbent = returns[:-1], float(returns[-1])
     known = np.isfinite(members)
@@ -95,7 +95,7 @@ def decide(
         return Decision(Action.KEEP, best, Reason.DWELL, lead)
     if not np.isfinite(incumbent):
         return Decision(switch, best, Reason.INCUMBENT_UNKNOWN, lead)
-    if lead > settings.margin * abs(incumbent):
+    if lead > settings.margin * abs(incumbent) + settings.least_lead:
         return Decision(switch, best, Reason.BETTER, lead)
     return Decision(Action.KEEP, best, Reason.MARGIN, lead)
 

@@ -23,7 +23,7 @@ class Mode(NamedTuple):
     """One way of adapting: the runtime's preset and how it changes the cast."""
 
     name: str
-    preset: Literal["thesis", "understudy", "structured"]
+    preset: Literal["thesis", "understudy", "structured", "ensemble"]
     switch: Literal["none", "hard", "soft"]
     law: Literal["pid", "indi", "indi-rls-signfree"] | None = None
     """A classical law that flies in the population's place (docs/laws.md)."""
@@ -41,8 +41,9 @@ MODES: dict[str, Mode] = {
 }
 """``none`` flies the champion throughout; ``thesis`` is chapter 8 as published, ``understudy`` what we recommend."""
 
-STRUCTURED = {"structured": Mode("structured", "structured", "soft")}
-"""The preset for surfaces that work backwards (docs/adaptation.md); flown when it is asked for."""
+STRUCTURED = {name: Mode(name, name, "soft") for name in ("structured", "ensemble")}  # type: ignore[arg-type]
+"""The presets for surfaces that work backwards (docs/adaptation.md), networks alone and with laws as members; flown
+when they are asked for."""
 
 PEERS: dict[str, Mode] = {
     "pid": Mode("pid", "understudy", "none", "pid"),
@@ -61,6 +62,7 @@ ModeName = Literal[
     "understudy-hard",
     "understudy-soft",
     "structured",
+    "ensemble",
     "pid",
     "indi",
     "indi-rls-signfree",
