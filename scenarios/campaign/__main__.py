@@ -34,6 +34,12 @@ QUICK = ("none", "F5 elevator x 0.3", "elevator x -1", "commands 100 ms late")
 """Faults of ``--quick``: one of each kind."""
 QUICK_ROWS = "members,understudy,structured,pid,indi-rls-signfree"
 
+SHOWN = (
+    "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "nMAE %", "over oracle", "switches",
+    "alarms", "suited member s",
+)  # fmt: skip
+"""Columns of the first table of a suite that the terminal shows; the report has them all."""
+
 
 def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, count: int) -> list[Cell]:
     """Return the flights; ``faults``: only those of this name or group, or with it in their name. Raises UserError."""
@@ -193,10 +199,11 @@ def show(screen: Console, found: Result) -> None:
     for table in found.tables:
         if table.title.endswith("every row"):
             shown = Table(title=table.title, title_justify="left", box=None, header_style="dim")
-            for i, column in enumerate(table.columns):
-                shown.add_column(column, justify="left" if i == 0 else "right")
+            places = [table.columns.index(name) for name in SHOWN]
+            for i in places:
+                shown.add_column(table.columns[i], justify="left" if i == 0 else "right")
             for row in table.rows:
-                shown.add_row(*map(str, row))
+                shown.add_row(*(str(row[i]) for i in places))
             screen.print(shown)
     for claim in found.claims:
         verdict = {True: "holds", False: "does not hold", None: ""}[claim.holds]

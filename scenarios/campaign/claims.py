@@ -80,7 +80,7 @@ def hard(campaign: Campaign, ours: str) -> list[Claim]:
         ahead = survival(theirs, present(flights)) - survival(flights, present(theirs))
         if not math.isnan(ahead) and not ahead <= best:
             best, who = ahead, peer
-    found.append(claim(f"{ours}, hard, all: survival less the best peer's ({who})", -best, "points", ">=", 0.0))
+    found.append(claim(f"{ours}, hard, all: survival less the best peer's ({who})", 0.0 - best, "points", ">=", 0.0))
     times = campaign.casting(still(by_group(campaign, ours, "hard", ("reversal",))))
     where = f"{ours}, reversals, still air: time to a suited member"
     found += [

@@ -3,8 +3,8 @@
 That is what a runtime does which changes the cast in that moment and no more: the cycle of :class:`runtime.loop.Loop`
 in fewer words, measure, ask, limit, step; nothing is identified, recorded or gated without need. Bit for bit the same.
 
-One aircraft after the other: side by side, with one forward pass for all of them, a dozen aircraft fall out of a core's
-cache, and what the pass saves is half of what the aircraft then cost more.
+One aircraft after the other: side by side, with one forward pass for all, a dozen aircraft fall out of a core's cache
+(``export.training.flights``), which costs more than that pass saves.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Members:
     def _trace(self, cell: Cell, member: int, opening: np.ndarray) -> Trace:
         """Fly one member after the commands ``opening`` (k, 3) [rad], which the champion gives until the fault.
 
-        The last gate costs a fifth of the flight and has hardly ever anything to say: it is left out, and the flight
-        is flown again with it when it would have spoken.
+        The last gate has hardly ever anything to say: it is left out, and the flight is flown again with it when it
+        would have spoken.
         """
         course, untouched = self._course(cell, member, opening, None)
         trace = course.trace()
