@@ -171,7 +171,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness_agile: NotNegative = 0.01
     """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 20.0, 15.0)
+    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 20.0, 25.0)
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
@@ -184,8 +184,12 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     delay_memory: Fraction = 0.98
     """Forgetting of the log-likelihoods of delays, crossed commands and the agile filter, each sample [-]."""
 
-    delay_lead: Positive = 16.0
-    """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]."""
+    delay_lead: Positive = 30.0
+    """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]. In quiet flight
+    every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by chance."""
+
+    delay_lead_open: Positive = 11.0
+    """The same while the filters are open [nats]: all hypotheses start alike."""
 
     belief_sd: NotNegative = 2.0
     """What is imagined of lambda stays where it was within so many standard deviations of the estimate [-]: an

@@ -79,16 +79,20 @@ class Inputs:
 class Evidence:
     """Log-likelihoods of the hypotheses with forgetting, and the one that is believed.
 
-    Another hypothesis is believed when it leads the believed one by ``needed`` [nats] for ``HOLD`` samples.
+    Another hypothesis is believed when it leads the believed one by ``needed`` [nats] for ``HOLD`` samples; by
+    ``needed_open`` while the filters are open. All have then started alike, each sample counts for more, and nothing is
+    forgotten: what tells crossed surfaces from reversed ones is seen once, before the commands run into their limits.
     """
 
     HOLD = 3
     SAYS = 1.0
     """The most that one sample says against a hypothesis [nats]: where the model is wrong for a moment, as at the
     stall, all are surprised, and which of them the least is chance."""
+    SAYS_OPEN = 2.0
+    """The same while the filters are open."""
 
-    def __init__(self, size: int, memory: float, needed: float) -> None:
-        self._memory, self._needed = memory, needed
+    def __init__(self, size: int, memory: float, needed: float, needed_open: float) -> None:
+        self._closed, self._open = (memory, needed, self.SAYS), (1.0, needed_open, self.SAYS_OPEN)
         self._size = size
         self.reset()
 
@@ -104,17 +108,17 @@ class Evidence:
         self.best = self.believed
         self._held = 0
 
-    def weigh(self, log_likelihood: list[float]) -> bool:
+    def weigh(self, log_likelihood: list[float], opened: bool = False) -> bool:
         """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""
+        memory, needed, says = self._open if opened else self._closed
         most = max(log_likelihood)
         score = [
-            max(new - most, -self.SAYS) - self._memory * behind
-            for new, behind in zip(log_likelihood, self.behind, strict=True)
+            max(new - most, -says) - memory * behind for new, behind in zip(log_likelihood, self.behind, strict=True)
         ]
         top = max(score)
         best = score.index(top)
-        self.behind = [min(top - each, self._needed + self.SAYS) for each in score]
-        self._held = self._held + 1 if best == self.best and self.behind[self.believed] > self._needed else 0
+        self.behind = [min(top - each, needed + says) for each in score]
+        self._held = self._held + 1 if best == self.best and self.behind[self.believed] > needed else 0
         self.best = best
         if self._held < self.HOLD:
             return False

@@ -62,7 +62,7 @@ class Effectiveness:
         self._recent = np.zeros((max(round(settings.recall / dt), 1), N))
         self._recalled, self._believed_before = np.zeros(N), np.ones(N_ACTION)
         self.shift = Shift(settings.q_bias, settings.shift_time, dt)
-        self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead)
+        self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
         self.stuck = Stuck(dt)
         self.increment = np.zeros(RATES)
@@ -252,7 +252,8 @@ class Effectiveness:
         """Weigh the hypotheses, and whether lambda moves."""
         f, evidence = self.filter, self.evidence
         agile, believed, memory = self._agile, evidence.believed, self.settings.delay_memory
-        known, *moving = f.log_likelihood[evidence.best], *f.log_likelihood[agile:]
+        known = max(f.log_likelihood[evidence.best], f.log_likelihood[believed])
+        moving = f.log_likelihood[agile:]
         self.agile_lead = [
             max(memory * lead + new - known, 0.0) for lead, new in zip(self.agile_lead, moving, strict=True)
         ]
@@ -266,7 +267,7 @@ class Effectiveness:
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._since < self._open_at:
             self.agile_lead = [0.0] * N_ACTION
-        elif evidence.weigh(f.log_likelihood[:agile]):
+        elif evidence.weigh(f.log_likelihood[:agile], self._since < self._close_at):
             self.alarmed = True
             self.agile_lead = [0.0] * N_ACTION
             np.copyto(self.believed, self.effectiveness)
@@ -286,12 +287,16 @@ class Effectiveness:
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
         settings, f = self.settings, self.filter
-        self._nis[self._states % self.WINDOW] = min(f.nis[self.evidence.best], self.BEYOND)
+        best, believed = self.evidence.best, self.evidence.believed
+        self._nis[self._states % self.WINDOW] = min(f.nis[best], f.nis[believed], self.BEYOND)
         self._since += 1
         if self._since == self._open_at:
             f.s[:] = self._recalled
             f.s[:, W] = w
             self._spread(settings.effectiveness_sd_open)
+            for surface, axis in enumerate(AXIS):
+                if self.stuck.blind[axis]:
+                    f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
             self._q = self._q_open
             self.evidence.forget()
         elif self._since == self._close_at:
@@ -340,4 +345,5 @@ class Effectiveness:
         else:
             f.s[:] = self._recent[self._states % len(self._recent)]
         f.s[:, W] = now
+        self._nis = [0.0] * self.WINDOW
         self.evidence.forget()

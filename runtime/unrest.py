@@ -22,6 +22,8 @@ class Unrest:
     """So many samples are looked at for noise alone, and twice as many again for turbulence."""
     LOUD = 4.0
     """A sample counts as at most this many times the noise that is known: a fault is no noise."""
+    SHARED = 0.003
+    """Every axis has at least this share of the roughest one's level: gusts on the pitch axis come seldom and hard."""
     ROUGH = 9.0
     """A squared innovation counts as at most this many times its variance: one sample is no turbulence."""
 
@@ -74,5 +76,6 @@ class Unrest:
         if self.seen <= self.LEARNING:
             return
         gain = max(self._unrest_gain, 1.0 / (self.seen - self.LEARNING + 5))
+        least = max(1.0, self.SHARED * max(self.levels))
         for axis, each in enumerate(surprise):
-            self.levels[axis] = max(self.levels[axis] * math.exp(gain * (min(each, self.ROUGH) - 1.0)), 1.0)
+            self.levels[axis] = max(self.levels[axis] * math.exp(gain * (min(each, self.ROUGH) - 1.0)), least)

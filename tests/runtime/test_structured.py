@@ -129,7 +129,7 @@ def test_the_evidence_is_the_posterior_of_a_bank_of_models():
         kf.F = kf.H = np.eye(1)
         kf.B = np.array([[drift]])
         bank.append(kf)
-    estimator, evidence = MMAEFilterBank(bank, [1 / 3] * 3, 1, H=np.eye(1)), Evidence(3, 1.0, 1e9)
+    estimator, evidence = MMAEFilterBank(bank, [1 / 3] * 3, 1, H=np.eye(1)), Evidence(3, 1.0, 1e9, 1e9)
     for k in range(60):
         for kf in bank:
             kf.predict(u=np.ones(1))
@@ -144,7 +144,7 @@ def test_the_evidence_is_the_posterior_of_a_bank_of_models():
 
 
 def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sample_decides():
-    evidence = Evidence(3, 1.0, 10.0)
+    evidence = Evidence(3, 1.0, 10.0, 10.0)
     assert not evidence.weigh([0.0, 0.0, 1e6])
     assert evidence.behind == [1.0, 1.0, 0.0]
     told = [evidence.weigh([0.0, 0.0, 4.0]) for _ in range(12)]
@@ -249,6 +249,8 @@ def test_a_weak_reversal_while_the_surface_is_hardly_used_is_found():
 @pytest.mark.parametrize("signal", [STATE.p, STATE.q, STATE.r])
 def test_a_stuck_gyro_is_no_dead_surface_and_the_attitude_tells_the_rate_instead(noise, signal):
     aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    pulling = aircraft.command
+    aircraft.command = lambda: np.add(pulling(), (0.02, 0.0, 0.0))  # attitudes stay small
     watch(found, aircraft, 500)
     aircraft.stuck = {int(signal): None}
     watch(found, aircraft, 400)
