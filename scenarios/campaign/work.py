@@ -24,7 +24,7 @@ from scenarios.campaign.store import Entry, Journal, from_plain, plain
 from task.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[2]
-AIRCRAFT_SOURCES = ("sim_bridge", "task", "scenarios/campaign/trace.py", "scenarios/campaign/scores.py")
+AIRCRAFT_SOURCES = ("sim_bridge", "task", *(f"scenarios/campaign/{name}.py" for name in ("design", "trace", "scores")))
 """What decides every flight, beside its cell and the population."""
 MEMBER_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/members.py", "runtime/population.py", "runtime/guard.py")
 ROW_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/flying.py", "scenarios/campaign/mirrored.py", "runtime")
