@@ -76,9 +76,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """The best member replaces the incumbent if its return R beats R_incumbent by margin * |R_incumbent|. Returns are
     negative: a margin of 0.5 asks the new member to lose at most half of what the incumbent is predicted to lose."""
 
-    least_lead: NotNegative = 0.0
-    """... and by this much more [-]: where all members fly closely, a share of next to nothing is chance. The return
-    of a sample lies between 0 and -1."""
+    head_start: NotNegative = 0.0
+    """Return by which the member that flies first is taken to be better than it is imagined [-; a sample's is between 0
+    and -1]. Where all fly closely a share of next to nothing is chance; and who was good so far is trusted beyond what
+    is imagined, until more than this is at stake."""
 
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
@@ -289,10 +290,10 @@ PRESETS: dict[str, Adaptation] = {
         identify=False,
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
-        least_lead=8.0,
+        head_start=15.0,
         forecast_time=0.2,
         confirmations=2,
-    ),  # fmt: skip
+    ),
     "thesis": Adaptation(
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
     ),

@@ -141,7 +141,7 @@ class Plays:
         overtaken = asked <= self._alarm_at
         returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
-        decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken)
+        decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken, self._cast.first)
         decision = self._careful(decision, tick)
         if decision.action is not Action.KEEP:
             self._switched_at = tick

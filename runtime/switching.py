@@ -66,17 +66,22 @@ def decide(
     settings: Adaptation,
     since_switch: float = np.inf,
     overtaken: bool = False,
+    first: int = -1,
 ) -> Decision:
     """Return what to do with one imagination of the cast.
 
     returns: (P + 1,) predicted returns, the behavioural policy's own last (it may be half-way between members);
     flying: index of the member that flies or that a blend moves towards; age: of the prediction [s]; since_switch: time
     since the last switch [s]; overtaken: whether an alarm came after the question, which was about an aircraft that is
-    no more.
+    no more; first: index of the member that flies first, whose returns are taken to be better by ``head_start``.
 
-    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent| + least_lead.
+    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent|.
     """
     members, incumbent = returns[:-1], float(returns[-1])
+    if settings.head_start and first >= 0:
+        members = members.copy()
+        members[first] += settings.head_start
+        incumbent += settings.head_start * (flying == first)
     known = np.isfinite(members)
     best = int(np.argmax(np.where(known, members, -np.inf))) if known.any() else -1
     lead = float(members[best]) - incumbent if best >= 0 and np.isfinite(incumbent) else float("nan")
@@ -95,7 +100,7 @@ def decide(
         return Decision(Action.KEEP, best, Reason.DWELL, lead)
     if not np.isfinite(incumbent):
         return Decision(switch, best, Reason.INCUMBENT_UNKNOWN, lead)
-    if lead > settings.margin * abs(incumbent) + settings.least_lead:
+    if lead > settings.margin * abs(incumbent):
         return Decision(switch, best, Reason.BETTER, lead)
     return Decision(Action.KEEP, best, Reason.MARGIN, lead)
 
@@ -134,7 +139,7 @@ class Cast:
     ) -> None:
         self.live = live
         self._members = members
-        self._first = first
+        self.first = first
         self._rho = np.float32(rho)
         self._opposed = opposed
         self._step = np.empty_like(live)
@@ -142,7 +147,7 @@ class Cast:
 
     def reset(self) -> None:
         """Fly the member that flies first."""
-        self.flying = self._origin = self._first
+        self.flying = self._origin = self.first
         self.blend = 0.0
         self.handing_over = self.taken = False
         """Whether a change of actions is under way, and whether it began in this cycle."""

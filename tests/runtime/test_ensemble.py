@@ -203,7 +203,7 @@ def test_an_ensemble_flies_well_and_saves_what_its_laws_lose(citation, plant_lin
 def test_a_law_s_imagined_return_is_near_what_it_then_earns(citation, plant_link, tmp_path):
     """The healthy aircraft: the imagination of the law that flies, against the flight that follows."""
     link = plant_link(3000)
-    fly(link, citation, tmp_path / "f.ulg", "least_lead=1000")
+    fly(link, citation, tmp_path / "f.ulg", "head_start=1000")
     play = {t.name: t.data for t in ULog(str(tmp_path / "f.ulg")).data_list}["play"]
     first = len(citation.members)
     error = np.abs(tracking_error(np.array(link.x[:3000]), ROWS[:3000]))

@@ -88,3 +88,20 @@ def test_a_blend_is_turned_in_mid_flight_from_where_it_is():
     assert cast.flying == 2
     cast.reset()
     assert np.array_equal(cast.live, members[0])
+
+
+def test_who_flies_first_has_a_head_start_and_is_returned_to():
+    start = Adaptation(margin=0.1, head_start=8.0)
+
+    def decided(returns, flying):
+        return decide(np.array(returns), flying, 0.1, start, first=0)
+
+    # the first member is left only when more than the head start is at stake
+    assert decided([-10.0, -3.0, -10.0], 0).action is Action.KEEP
+    assert decided([-20.0, -3.0, -20.0], 0).member == 1
+    # and taken again although the incumbent is imagined to be a little better
+    back = decided([-10.0, -6.0, -6.0], 1)
+    assert (back.action, back.member) == (Action.SOFT, 0)
+    assert decided([-20.0, -6.0, -6.0], 1).action is Action.KEEP
+    # others have none
+    assert decide(np.array([-10.0, -6.0, -6.0]), 1, 0.1, start).action is Action.KEEP
