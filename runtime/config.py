@@ -136,6 +136,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     open_bias: tuple[Positive, Positive, Positive] = (0.2, 0.6, 0.1)
     """Standard deviation of the bias on p, q, r when the filter opens [rad/s2]."""
 
+    open_slopes: tuple[NotNegative, NotNegative] = (3.0, 1.0)
+    """Standard deviation of the changes of dq'/d(alpha) and dr'/d(beta) when the filter opens [1/s2]: a moved centre of
+    gravity changes the slopes, and must not be taken for a surface."""
+
     open_after: Positive = 0.03
     """From the alarm to the opening [s]: the samples that straddle the fault are not learnt from."""
 

@@ -1,8 +1,9 @@
 """A bank of Kalman filters on body rates that differ in what they take to have reached the surfaces.
 
-The model is :mod:`task.rates`. Each filter's state: rates w (3), signed effectiveness lambda (3), bias b (3). Only
-p, q, r are measured; nothing is differentiated, so that gyro noise is smoothed by the filter's own integration. All
-filters are stepped at once: at nine states, what costs is the number of array operations, not their size.
+The model is :mod:`task.rates`. Each filter's state: rates w (3), signed effectiveness lambda (3), bias b (3) and
+what two slopes have changed by (2): of q' in alpha, of r' in beta. Only p, q, r are measured; nothing is
+differentiated, so that gyro noise is smoothed by the filter's own integration. All filters are stepped at once: at
+eleven states, what costs is the number of array operations, not their size.
 """
 
 from __future__ import annotations
@@ -15,16 +16,18 @@ from task.limits import DT
 from task.rates import N_EFFECT, RATES, RateModel, dynamic_pressure, effect_terms, features
 from task.state import N_ACTION
 
-N = RATES + N_ACTION + RATES
+N = RATES + N_ACTION + RATES + 2
 """States of a filter."""
-W, LAMBDA, B = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Where rates, effectiveness and bias lie among them."""
+W, LAMBDA, B, SLOPES = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 11)
+"""Where rates, effectiveness, bias and slopes lie among them."""
+ALPHA_MID = 0.05
+"""Angle of attack about which a change of the pitching moment's slope turns [rad]: it adds little to the bias there."""
 
 
 class RateFilters:
-    """M Kalman filters, s = [w; lambda; b], s+ = F s + dt A phi, w measured with independent noise.
+    """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt A phi, w measured with independent noise.
 
-    ``s`` (M, 9) and ``P`` (M, 9, 9) are changed in place. After :meth:`update`, lists of M have for each filter:
+    ``s`` (M, 11) and ``P`` (M, 11, 11) are changed in place. After :meth:`update`, lists of M have for each filter:
     ``surprise`` the squared innovations of p, q, r over their own variances, ``nis`` the normalised innovation squared
     (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
     """
@@ -35,7 +38,7 @@ class RateFilters:
         self._effect = dt * np.ascontiguousarray(model.effect.transpose(1, 2, 0)).reshape(N_EFFECT, RATES * N_ACTION)
         self.s, self.P = np.zeros((size, N)), np.zeros((size, N, N))
         self.q = np.zeros((size, N))
-        """Variance added at each prediction (M, 9)."""
+        """Variance added at each prediction (M, 11)."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
         self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
@@ -43,11 +46,11 @@ class RateFilters:
         self.drift_step = np.zeros(RATES)
         """dt A phi of the last prediction (3,) [rad/s]."""
         self.F_rates = np.zeros((size, RATES, N))
-        """The rows of F that are not the identity's: those of the rates (M, 3, 9)."""
+        """The rows of F that are not the identity's: those of the rates (M, 3, 11)."""
         self.F_rates[:, :, W] = np.eye(RATES)
         self.F_rates[:, :, B] = dt * np.eye(RATES)
         self.variances = self.P.reshape(size, N * N)[:, :: N + 1]
-        """The diagonals of P (M, 9); a view."""
+        """The diagonals of P (M, 11); a view."""
         self._F_effect = self.F_rates[:, :, LAMBDA]
         self._F_transposed = self.F_rates.transpose(0, 2, 1)
         self._P_rows, self._P_columns, self._P_rates = self.P[:, W], self.P[:, :, W], self.P[:, W, W]
@@ -82,6 +85,8 @@ class RateFilters:
         self._terms[:] = effect_terms(V, alpha, qbar)
         np.dot(self._terms, self._effect, out=self._effects_flat)
         np.multiply(self._effects, u[:, None, :], out=self._F_effect)
+        self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
+        self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
 
     def predict(self) -> None:
         """Take s and P one sample on, with F and the drift as linearised."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, hypotheses
-from runtime.rate_filter import LAMBDA, B, N, RateFilters, W
+from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
 from runtime.shift import Shift
 from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
@@ -112,12 +112,13 @@ class Effectiveness:
         self.filter.s[:, LAMBDA] = 1.0
         self._spread(effectiveness_sd)
 
-    def _spread(self, effectiveness_sd: float) -> None:
+    def _spread(self, effectiveness_sd: float, slopes: tuple[float, float] = (0.0, 0.0)) -> None:
         """Forget correlations and set the variances of open filters."""
         f, settings = self.filter, self.settings
         f.P[:] = 0.0
         f.variances[:, W], f.variances[:, LAMBDA] = settings.open_rate**2, effectiveness_sd**2
         f.variances[:, B] = np.square(settings.open_bias)
+        f.variances[:, SLOPES] = np.square(slopes)
 
     @property
     def effectiveness(self) -> np.ndarray:
@@ -237,7 +238,7 @@ class Effectiveness:
         ]
         self._drift = drift
         if self.stuck.any:
-            *_, alpha, beta = self.stuck.signals
+            _, _, _, alpha, beta = self.stuck.signals
             f.q[:, B] += self.UNKNOWN * np.array((beta, alpha, beta))
         f.predict()
 
@@ -287,13 +288,13 @@ class Effectiveness:
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
         settings, f = self.settings, self.filter
-        best, believed = self.evidence.best, self.evidence.believed
-        self._nis[self._states % self.WINDOW] = min(f.nis[best], f.nis[believed], self.BEYOND)
+        explained = min(f.nis[self.evidence.best], f.nis[self.evidence.believed])
+        self._nis[self._states % self.WINDOW] = min(explained, self.BEYOND)
         self._since += 1
         if self._since == self._open_at:
             f.s[:] = self._recalled
             f.s[:, W] = w
-            self._spread(settings.effectiveness_sd_open)
+            self._spread(settings.effectiveness_sd_open, settings.open_slopes)
             for surface, axis in enumerate(AXIS):
                 if self.stuck.blind[axis]:
                     f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2

@@ -34,7 +34,12 @@ class Stuck:
 
     def reset(self) -> None:
         """Start a new flight, or begin after a gap: nothing is stuck."""
-        self._last = [float("nan")] * len(SIGNALS)
+        self._last: tuple[float, ...] = (float("nan"),) * len(SIGNALS)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin to count anew: no reading repeats."""
+        self._quiet = False
         self._same = [0] * len(SIGNALS)
         self._due = [0.0] * len(SIGNALS)
         self.signals = [False] * len(SIGNALS)
@@ -48,27 +53,33 @@ class Stuck:
 
         x: (>= 10,); step: by how much the model moved p, q, r to it (3,) [rad/s]; noise: the sensors' [rad/s].
         """
-        p, q, r, alpha = x[STATE.p], x[STATE.q], x[STATE.r], x[STATE.alpha]
-        moves = (*step, q * self._dt, (p * alpha - r) * self._dt)
-        enough = self.NOISES * noise
+        p, q, r, _, alpha, beta = x[: STATE.beta + 1]
+        readings = p, q, r, alpha, beta
+        repeated = [now == before for now, before in zip(readings, self._last, strict=True)]
+        self._last = readings
+        if True not in repeated:  # nearly always
+            if self._quiet:
+                self._forget()
+            return False
+        self._quiet = True
         same = self._same
-        for i, (signal, move) in enumerate(zip(SIGNALS, moves, strict=True)):
-            now = x[signal]
-            if now == self._last[i]:
+        enough = self.NOISES * noise
+        moves = (*step, q * self._dt, (p * alpha - r) * self._dt)
+        for i, (again, move) in enumerate(zip(repeated, moves, strict=True)):
+            if again:
                 same[i] += 1
                 self._due[i] += move
             else:
-                self._last[i], same[i], self._due[i], self.signals[i] = now, 0, 0.0, False
+                same[i], self._due[i], self.signals[i] = 0, 0.0, False
         found = False
-        if any(same):
-            for motion in MOTIONS:
-                if all(same[i] for i in motion):
-                    for i in motion:
-                        self._due[i] = 0.0
+        for motion in MOTIONS:
+            if all(same[i] for i in motion):
                 for i in motion:
-                    due = enough if i < len(step) else self.ANGLE_DUE
-                    if same[i] >= self.SAME and not self.signals[i] and abs(self._due[i]) > due:
-                        self.signals[i] = found = True
+                    self._due[i] = 0.0
+            for i in motion:
+                due = enough if i < len(step) else self.ANGLE_DUE
+                if same[i] >= self.SAME and not self.signals[i] and abs(self._due[i]) > due:
+                    self.signals[i] = found = True
         self.any = True in self.signals
         p, q, r, alpha, beta = self.signals
         self.blind = p or beta, q or alpha, r or beta

@@ -7,7 +7,7 @@ from filterpy.kalman import KalmanFilter
 from runtime.config import PRESETS, Adaptation, resolve
 from runtime.hypotheses import CROSSED, STRAIGHT, Evidence, Inputs, hypotheses
 from runtime.identification import IncrementalModel
-from runtime.rate_filter import RateFilters
+from runtime.rate_filter import ALPHA_MID, SLOPES, N, RateFilters
 from runtime.structured import Effectiveness
 from runtime.stuck import Stuck
 from runtime.switching import opposed
@@ -89,13 +89,13 @@ def watch(found, aircraft, samples):
 def test_the_bank_is_filterpys_filters():
     rng, size = np.random.default_rng(0), 4
     ours = RateFilters(MODEL, size)
-    ours.s[:] = rng.normal(size=(size, 9)) * 0.1
-    ours.variances[:] = rng.uniform(1e-4, 1.0, (size, 9))
-    ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, 9)), 1e-7
-    bank = [KalmanFilter(dim_x=9, dim_z=3, dim_u=3) for _ in range(size)]
+    ours.s[:] = rng.normal(size=(size, N)) * 0.1
+    ours.variances[:] = rng.uniform(1e-4, 1.0, (size, N))
+    ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, N)), 1e-7
+    bank = [KalmanFilter(dim_x=N, dim_z=3, dim_u=3) for _ in range(size)]
     for i, theirs in enumerate(bank):
         theirs.x, theirs.P = ours.s[i].copy(), ours.P[i].copy()
-        theirs.H, theirs.B = np.eye(3, 9), np.eye(9, 3)
+        theirs.H, theirs.B = np.eye(3, N), np.eye(N, 3)
         theirs.Q, theirs.R = np.diag(ours.q[i]), ours.r * np.eye(3)
     for _ in range(200):
         x = state(rng.normal(size=3) * 0.1, rng.uniform(80, 150), rng.uniform(0, 0.1), rng.normal() * 0.02)
@@ -103,7 +103,7 @@ def test_the_bank_is_filterpys_filters():
         ours.predict()
         z = ours.s[0, :3] + 1e-3 * rng.normal(size=3)
         for i, theirs in enumerate(bank):
-            F = np.eye(9)
+            F = np.eye(N)
             F[:3] = ours.F_rates[i]
             theirs.predict(u=ours.drift_step, F=F)
             theirs.update(z)
@@ -184,6 +184,31 @@ def test_sensor_noise_is_found_and_raises_no_alarm():
     assert watch(found, aircraft, 6000) == []
     assert found.unrest.noise_variance**0.5 == pytest.approx(1.3e-3, rel=0.1)
     np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.2)
+
+
+def test_slopes_that_change_are_not_taken_for_a_surface():
+    """The pitching moment turns with the angle of attack, as with a centre of gravity behind the neutral point."""
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    read, step = aircraft.read, aircraft.step
+    swing = lambda: ALPHA_MID + 0.05 * np.sin(0.6 * 2.0 * np.pi * aircraft.tick * DT)  # noqa: E731
+
+    def seen():
+        x = read()
+        x[STATE.alpha] = swing()
+        return x
+
+    aircraft.read = seen
+    watch(found, aircraft, 500)
+
+    def turned(u):
+        alpha = swing()
+        step(u)
+        aircraft.w[1] += DT * 4.0 * (alpha - ALPHA_MID)
+
+    aircraft.step = turned
+    assert watch(found, aircraft, 300)
+    np.testing.assert_allclose(found.believed, 1.0, atol=0.2)
+    assert found.filter.s[found.evidence.believed, SLOPES.start] == pytest.approx(4.0, abs=1.0)
 
 
 def test_a_second_reversal_is_found_as_well():
