@@ -176,7 +176,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness_agile: NotNegative = 0.01
     """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 20.0, 25.0)
+    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 30.0, 30.0)
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
