@@ -41,7 +41,7 @@ MODES: dict[str, Mode] = {
 }
 """``none`` flies the champion throughout; ``thesis`` is chapter 8 as published, ``understudy`` what we recommend."""
 
-STRUCTURED = {name: Mode(name, name, "soft") for name in ("structured", "ensemble")}  # type: ignore[arg-type]
+STRUCTURED = {name: Mode(name, name, "soft") for name in ("structured", "ensemble")}
 """The presets for surfaces that work backwards (docs/adaptation.md), networks alone and with laws as members; flown
 when they are asked for."""
 

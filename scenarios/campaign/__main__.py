@@ -32,7 +32,7 @@ from understudy import run
 
 QUICK = ("none", "F5 elevator x 0.3", "elevator x -1", "commands 100 ms late")
 """Faults of ``--quick``: one of each kind."""
-QUICK_ROWS = "members,understudy,structured,pid,indi-rls-signfree"
+QUICK_ROWS = "members,understudy,structured,ensemble,pid,indi-rls-signfree"
 
 SHOWN = (
     "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "nMAE %", "over oracle", "switches",
@@ -95,11 +95,11 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--population", default="citation", show_default=True, help="Folder of the cast, or its name.")
 @click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all]")
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
-@click.option("--ours", default="structured", show_default=True, help="The row that the claims are about.")
+@click.option("--ours", default="ensemble", show_default=True, help="The row that the claims are about.")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
 @click.option("--oracle-laws", "laws", default="",
               help="Comma-separated rows that the oracle may choose besides the members: pid, indi, ...")  # fmt: skip
-@click.option("--quick", is_flag=True, help="A few minutes: four faults, five rows, two references of each.")
+@click.option("--quick", is_flag=True, help="A few minutes: four faults, six rows, two references of each.")
 @click.option("--jobs", type=click.IntRange(1, 64), help="Processes.  [default: 2]")
 @click.option("--out", type=Path, help="Where flights and report go.  [default: flights/campaign/POPULATION-HALF]")
 @click.option("--results", type=Path, help="Also write campaign.json and campaign.parquet into this folder.")

@@ -12,7 +12,7 @@ from runtime.laws.catalogue import LAWS
 from scenarios.campaign.design import DURATION
 from scenarios.campaign.mirrored import MIRRORED
 from scenarios.campaign.report import REVERSALS, by_group, healthy, short
-from scenarios.campaign.rows import NONE, ORACLE, ROBUST
+from scenarios.campaign.rows import FROZEN, NONE, ORACLE, ROBUST
 from scenarios.campaign.scores import Record
 from scenarios.campaign.statistics import Flights, Key, median, of_oracle, paired, survival
 from scenarios.campaign.table import Campaign
@@ -21,8 +21,6 @@ from task.results import Claim
 TARGETED = ("ideal", "noise")
 """Sensors that targets are stated for; the others are reported only."""
 PEERS = (*LAWS, MIRRORED)
-FROZEN = "frozen"
-
 
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt, "=": operator.eq,
@@ -146,10 +144,11 @@ def peers(campaign: Campaign, ours: str) -> list[Claim]:
 
 
 def identified(campaign: Campaign, ours: str) -> list[Claim]:
-    """Return what identification gains over the frozen nominal model."""
+    """Return what identification gains over the frozen nominal model, that of the same preset where it was flown."""
+    frozen = f"{ours}-{FROZEN}" if f"{ours}-{FROZEN}" in campaign.rows else FROZEN
 
     def both(suite: str, *groups: str) -> tuple[Flights, Flights]:
-        pair = (campaign.pick(row, suite) for row in (ours, FROZEN))
+        pair = (campaign.pick(row, suite) for row in (ours, frozen))
         mine, theirs = ({k: r for k, r in row.items() if not groups or r.group in groups} for row in map(still, pair))
         return mine, theirs
 
@@ -157,18 +156,20 @@ def identified(campaign: Campaign, ours: str) -> list[Claim]:
     mine, theirs = both("hard")
     more = survival(mine, present(theirs)) - survival(theirs, present(mine))
     found.append(
-        claim(f"{ours}, hard, still air: survives more than the frozen nominal model", more, "points", ">", 0.0)
+        claim(f"{ours}, hard, still air: survives more than the nominal model ({frozen})", more, "points", ">", 0.0)
     )
     p = paired(*both("easy", "effectiveness"))
-    words = f"{ours}, effectiveness, still air: mean nMAE against the frozen nominal model"
+    words = f"{ours}, effectiveness, still air: mean nMAE against the nominal model ({frozen})"
     found.append(claim(words, p.of_means, "%", "<=", -10.0))
     worst, where = math.nan, ""
     for suite in campaign.suites:
-        for group in sorted({r.group for r in campaign.pick(FROZEN, suite).values()}):
+        for group in sorted({r.group for r in campaign.pick(frozen, suite).values()}):
             p = paired(*both(suite, group))
             if p.both and not p.of_means <= worst:
                 worst, where = p.of_means, f"{suite}, {group}"
-    found.append(claim(f"{ours}: still air, furthest behind the frozen nominal model ({where})", worst, "%", "<=", 2.0))
+    found.append(
+        claim(f"{ours}: still air, furthest behind the nominal model ({frozen}; {where})", worst, "%", "<=", 2.0)
+    )
     return found
 
 

@@ -14,6 +14,8 @@ MEMBERS = "members"
 """The task in which every member flies from the fault on, the champion until then: rows none, oracle and robust."""
 NONE, ORACLE, ROBUST = "none", "oracle", "robust"
 """The champion throughout; of each flight the best member in hindsight; the one member that is best over a suite."""
+FROZEN = "frozen"
+"""``understudy`` in the nominal model throughout; with a preset before it, that preset in the same way."""
 DERIVED = (NONE, ROBUST, ORACLE)
 """Rows that follow from the flights of the members."""
 
@@ -43,7 +45,8 @@ def known_rows() -> dict[str, Row]:
         Row(name="thesis-hard", preset="thesis", changes=("switch=hard",)),
         Row(name="thesis-soft", preset="thesis"),
         *(Row(name=preset, preset=preset) for preset in PRESETS if preset != "thesis"),
-        Row(name="frozen", changes=("identify=false",)),
+        Row(name=FROZEN, changes=("identify=false",)),
+        Row(name=f"ensemble-{FROZEN}", preset="ensemble", changes=("effectiveness=none",)),
         *(Row(name=law, law=law) for law in LAWS),
         Row(name=MIRRORED, law=MIRRORED),
     ]

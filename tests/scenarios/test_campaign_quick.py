@@ -39,15 +39,15 @@ def test_it_leaves_claims_tables_pictures_and_flights(whole):
     assert "elevator x -1" in QUICK
     found = msgspec.json.decode((whole / "campaign.json").read_bytes(), type=Result)
     claims = {c.claim: c for c in found.claims}
-    assert claims["structured, hard, all: survives of what the oracle survives"].value in (0.0, 100.0)
+    assert claims["ensemble, hard, all: survives of what the oracle survives"].value in (0.0, 100.0)
     assert any(c.target == ">= 0" and c.holds is not None for c in found.claims)
     titles = {t.title for t in found.tables}
     assert {"Suite hard: every row", "Suite hard: median nMAE over the oracle's, by group"} <= titles
     every = next(t for t in found.tables if t.title.endswith("every row"))
     rows = [row[0] for row in every.rows]
-    assert rows == ["none", "robust", "oracle", "understudy", "structured", "pid", "indi-rls-signfree"]
+    assert rows == ["none", "robust", "oracle", "understudy", "structured", "ensemble", "pid", "indi-rls-signfree"]
     flights = pq.read_table(whole / "campaign.parquet")
-    assert len(flights) == found.runs == 4 + 24
+    assert len(flights) == found.runs == 5 + 24
     assert any("the laws pid among them" in note for note in found.notes)
     assert (whole / "campaign_hard.png").stat().st_size > 10_000
     assert "# " in (whole / "report.md").read_text()
