@@ -14,7 +14,7 @@ CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev fly campaign test lint train export cast study sweep verification aircraft chapter8 peers \
-        structured results bench bench-train clean
+        decision results bench bench-train clean
 
 help: ## Show this help
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -94,9 +94,8 @@ results: setup ## Render docs/results.md from results/*.json
 peers: setup-dev ## The classical laws on faults, noise and latency, into results/
 	$(BIN)/python -m bench.laws $(ARGS)
 
-structured: setup-dev ## Reversed surfaces: alarm, re-casting and survival, into results/
-	$(BIN)/python -m bench.structured $(ARGS)
-	$(BIN)/python -m bench.decision
+decision: setup-dev ## What it is worth that the imagination carries the delay of the commands, into results/
+	$(BIN)/python -m bench.decision $(ARGS)
 
 bench: setup-dev ## Cost of the cycle, the link and the imagination beside their peers, as ratios
 	$(BIN)/python -m bench.cycle
