@@ -66,7 +66,7 @@ cast: setup-dev ## Breed the default cast, export it, measure it beside speciali
 study: setup-dev ## The thesis's tables and figures of RUN beside TD3 alone (runs/td3), into results/ and docs/img/
 	$(BIN)/python -m export.study table71 $(RUN) --td3 runs/td3 $(ARGS)
 	$(BIN)/python -m export.study curves $(RUN) runs/td3
-	$(BIN)/python -m export.study smoothness $(RUN)
+	$(BIN)/python -m export.study smoothness $(RUN) runs/td3
 	$(BIN)/python -m export.study mutation
 
 verification: setup-dev ## The trainer on other environments, PIDs and aircraft as the thesis verifies them; resumes

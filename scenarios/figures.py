@@ -33,6 +33,7 @@ from scenarios.panels import (
     verdict,
     who_flies,
 )
+from task.limits import DT
 from task.state import ACTION, REFERENCE, TRACKED
 
 
@@ -87,7 +88,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def comparison(flown: Sequence[Flown], title: str) -> Figure:
-    """Return the modes one under the other: pitch and roll against their reference, and the elevator.
+    """Return the modes one under the other: pitch, roll, their references, and the surface that the fault moves.
 
     All flights must be of one reference. The strip under each pitch panel says which member flies.
     """
@@ -96,18 +97,18 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
         height = COMPARISON.top + COMPARISON.bottom + 1.3 * rows + COMPARISON.between_rows * (rows - 1)
         figure = Figure(figsize=(12.0, height))
         axes = _grid(figure, rows, (1.25, 1.0, 1.0), COMPARISON).subplots(sharex=True, sharey="col", squeeze=False)
-        tones = cast_colours(flown)
+        tones, surface = cast_colours(flown), moved_surface(flown)
         for one, (left, middle, right) in zip(flown, axes, strict=True):
             tracking(left, one, REFERENCE.theta, error=True)
             tracking(middle, one, REFERENCE.phi, error=True)
-            deflection(right, one, ACTION.de)
+            deflection(right, one, surface)
             cast_strip(left, one.adaptation, tones)
             for ax in (left, middle, right):
                 shade_fault(ax, one.flight, label=ax is left)
             mark_switches(left, one.adaptation)
             mark_loss(left, one)
             left.set_title(f"{one.mode}   {verdict(one.score)}", color=colour(one.mode), pad=7)
-        _shared_limits(axes, flown)
+        _shared_limits(axes, flown, surface)
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
             full_time(ax, flown[0].flight)
@@ -129,7 +130,17 @@ def _cast_legend(figure: Figure, tones: dict[str, str]) -> None:
     )  # fmt: skip
 
 
-def _shared_limits(axes: np.ndarray, flown: Sequence[Flown]) -> None:
+def moved_surface(flown: Sequence[Flown]) -> ACTION:
+    """Return the surface that is moved most in the first second of the first fault; the elevator without a fault."""
+    travel = np.zeros(len(ACTION))
+    for flight in (one.flight for one in flown):
+        if flight.fault_at is not None:
+            first = int(np.searchsorted(flight.time, flight.fault_at))
+            travel += np.abs(np.diff(flight.command[first : first + round(1.0 / DT)], axis=0)).sum(axis=0)
+    return ACTION(int(np.argmax(travel)))
+
+
+def _shared_limits(axes: np.ndarray, flown: Sequence[Flown], surface: ACTION) -> None:
     """Give each column of the comparison one y range that fits every flight that was not lost, or all of them."""
     kept = [f for f in flown if f.score.survived] or list(flown)
     for column, channel in ((0, REFERENCE.theta), (1, REFERENCE.phi)):
@@ -138,7 +149,7 @@ def _shared_limits(axes: np.ndarray, flown: Sequence[Flown]) -> None:
         limit(axes[0, column], np.concatenate(values), least=2.0)
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(low - 0.08 * (high - low), high)  # room for the strip
-    values = [np.degrees(f.flight.command[:, ACTION.de]) for f in kept]
+    values = [np.degrees(f.flight.command[:, surface]) for f in kept]
     limit(axes[0, 2], np.concatenate(values), least=2.0)
 
 
