@@ -102,14 +102,15 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--quick", is_flag=True, help="A few minutes: four faults, six rows, two references of each.")
 @click.option("--jobs", type=click.IntRange(1, 64), help="Processes.  [default: 2]")
 @click.option("--out", type=Path, help="Where flights and report go.  [default: flights/campaign/POPULATION-HALF]")
-@click.option("--results", type=Path, help="Also write campaign.json and campaign.parquet into this folder.")
-@click.option("--figures", type=Path, help="Write the figures campaign_*.png into this folder.  [default: OUT]")
+@click.option("--name", default="campaign", show_default=True, help="Of the files that are written.")
+@click.option("--results", type=Path, help="Also write NAME.json and NAME.parquet into this folder.")
+@click.option("--figures", type=Path, help="Write the figures NAME_SUITE.png into this folder.  [default: OUT]")
 @click.option("--any-version", is_flag=True, help="Take flights that another version of the program flew.")
 @click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
 def main(
     suites: tuple[str, ...], faults: tuple[str, ...], half: Half, count: int, population: str, rows: str | None,
     extra: tuple[str, ...], ours: str, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
-    results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
+    name: str, results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
 ) -> None:  # fmt: skip
     """Fly the campaign, or what of it was not flown yet; write flights (Parquet), tables and figures."""
     screen = console()
@@ -121,7 +122,7 @@ def main(
         command = command_line({
             "--suite": suites, "--fault": faults, "--half": half, "--references": str(count),
             "--population": population, "--rows": rows or (), "--row": extra, "--ours": ours, "--robust": robust or (),
-            "--oracle-laws": laws or (),
+            "--oracle-laws": laws or (), "--name": name if name != "campaign" else (),
         }) + " --quick" * quick  # fmt: skip
         if quick:
             faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
@@ -140,18 +141,18 @@ def main(
             "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
             "command": command,
         }  # fmt: skip
-        write_parquet(records, where / "campaign.parquet", information)
+        write_parquet(records, where / f"{name}.parquet", information)
         screen.print("[dim]" + cost(done) + "[/]")
     campaign = Campaign(records, information["champion"], robust, [law.strip() for law in laws.split(",") if law])
     found = result(campaign, information, spent, ours)
-    write("campaign", found, where)
-    (where / "report.md").write_text(page({"campaign": found}))
-    pictures = draw(campaign, figures or where)
+    write(name, found, where)
+    (where / "report.md").write_text(page({name: found}))
+    pictures = draw(campaign, figures or where, name)
     if results is not None:
-        write("campaign", found, results)
-        write_parquet(records, results / "campaign.parquet", information)
+        write(name, found, results)
+        write_parquet(records, results / f"{name}.parquet", information)
     show(screen, found)
-    screen.print(f"{len(records)} flights: {parquet or where / 'campaign.parquet'}\nReport: {where / 'report.md'}")
+    screen.print(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}\nReport: {where / 'report.md'}")
     screen.print("Figures: " + ", ".join(str(path) for path in pictures))
 
 

@@ -22,9 +22,9 @@ LARGEST_RATIO = 6.0
 """The scale of the second picture ends here [-]."""
 
 
-def draw(campaign: Campaign, folder: Path) -> list[Path]:
-    """Write campaign_<suite>.png of every suite; return their paths."""
-    return [save(picture(campaign, suite), folder / f"campaign_{suite}.png") for suite in campaign.suites]
+def draw(campaign: Campaign, folder: Path, name: str = "campaign") -> list[Path]:
+    """Write <name>_<suite>.png of every suite; return their paths."""
+    return [save(picture(campaign, suite), folder / f"{name}_{suite}.png") for suite in campaign.suites]
 
 
 def picture(campaign: Campaign, suite: str) -> Figure:

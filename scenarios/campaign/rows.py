@@ -67,18 +67,23 @@ def parse_row(text: str) -> Row:
 def choose_rows(names: str | None, extra: tuple[str, ...]) -> list[Row | Literal["members"]]:
     """Return the rows of a comma-separated list (all of them without one) and those that ``extra`` describes.
 
-    The members' flights come with any of the rows that follow from them, and always in a full campaign.
+    The members' flights come with any of the rows that follow from them, and always in a full campaign; ``none`` on its
+    own is flown on its own.
     """
     known = known_rows()
     wanted = [name.strip() for name in names.split(",")] if names else [MEMBERS, *known]
+    derived: tuple[str, ...] = DERIVED
+    if not {MEMBERS, ORACLE, ROBUST} & set(wanted):
+        derived, known = (), {NONE: Row(name=NONE, changes=("switch=none",)), **known}
     chosen: list[Row | Literal["members"]] = []
-    for name in dict.fromkeys(MEMBERS if name in DERIVED else name for name in wanted if name):
+    for name in dict.fromkeys(MEMBERS if name in derived else name for name in wanted if name):
         if name == MEMBERS:
             chosen.append("members")
         elif name in known:
             chosen.append(known[name])
         else:
-            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {', '.join([*DERIVED, *known])}")
+            choices = ", ".join(dict.fromkeys([*DERIVED, *known]))
+            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {choices}")
     chosen += [parse_row(text) for text in extra]
     labels = [row if isinstance(row, str) else row.name for row in chosen]
     if twice := {label for label in labels if labels.count(label) > 1}:

@@ -9,6 +9,7 @@ import pytest
 
 from scenarios.campaign.__main__ import QUICK, chosen_cells
 from scenarios.campaign.design import DURATION, EARLIEST, FACTORS, LATEST, cells, reference_rows
+from scenarios.campaign.rows import choose_rows
 from scenarios.campaign.suites import HALVES, SUITES, load_suite
 from sim_bridge.conditions import R1
 from task.errors import UserError
@@ -98,3 +99,10 @@ def test_a_wrong_suite_is_answered_with_file_and_fault(tmp_path):
     file.write_text('title = "s"\n' + 2 * '[[fault]]\nname = "odd"\ngroup = "g"\n')
     with pytest.raises(UserError, match="fault 'odd' is there twice"):
         load_suite(str(file))
+
+
+def test_no_adaptation_is_flown_alone_when_no_member_is():
+    (row,) = choose_rows("none", ())
+    assert row.configuration(True).adaptation.switch == "none"
+    assert choose_rows("none,oracle", ()) == ["members"]
+    assert choose_rows("none,members", ()) == ["members"]
