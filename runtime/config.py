@@ -302,10 +302,12 @@ PRESETS: dict[str, Adaptation] = {
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05
     ),
 }
-"""``understudy`` is the recommended one. ``structured`` finds the surfaces' signed effectiveness and leaves the rest of
-the model at the population's prior: for casts with mirrors, and for noisy sensors, where raw increments tell nothing.
-``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h = 2 s, 50 % of |R_incumbent|, rho = 0.05;
-p0, kappa and the meaning of 50 % for negative returns are our reading."""
+"""``ensemble`` is the recommended one for a cast bred for hard faults: the surfaces' signed effectiveness and the delay
+of the commands are found, laws and networks are one cast, and the model stays at the population's prior otherwise.
+``structured`` is the same with the networks alone, deciding on each imagination as it comes. ``understudy`` is the
+mended recipe of chapter 8, for ideal sensors: with noisy ones raw increments tell nothing. ``thesis`` is chapter 8
+read literally: ten states, Theta = 0, t_play = t_h = 2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning
+of 50 % for negative returns are our reading."""
 
 
 def _value(text: str) -> Any:

@@ -155,6 +155,7 @@ class Recorder:
                 ("uint16_t", "delay"),
                 ("uint8_t", "hypothesis"),
                 ("float", "confidence"),
+                ("uint8_t", "stuck"),
             ],
         ) if structured else None  # fmt: skip
         self._log.begin()
@@ -207,7 +208,7 @@ class Recorder:
             self._log.write(
                 self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias,
                 found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
-                found.delay_samples, found.evidence.believed, found.evidence.confidence,
+                found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask,
             )  # fmt: skip
 
     def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:

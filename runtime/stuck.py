@@ -48,6 +48,11 @@ class Stuck:
         self.blind = False, False, False
         """Whether nothing can be told of the surfaces from roll, pitch and yaw: no rate, or no angle for the model."""
 
+    @property
+    def mask(self) -> int:
+        """Return which are stuck as bits: 1 for p, 2 for q, 4 for r, 8 for alpha, 16 for beta."""
+        return sum(stuck << i for i, stuck in enumerate(self.signals)) if self.any else 0
+
     def look(self, x: list[float], step: list[float], noise: float) -> bool:
         """Take a state; return whether another signal is stuck from now on.
 

@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
+from runtime.laws.catalogue import LAWS
 from runtime.population import load_population
 from scenarios.campaign.design import Cell
 from scenarios.campaign.flying import Flyer
@@ -43,9 +44,13 @@ class Task(NamedTuple):
         return self.row if isinstance(self.row, str) else self.row.name
 
     def key(self, population: str) -> str:
-        """Return what names this task and everything that decides it but the program."""
+        """Return what names this task and everything that decides it but the program.
+
+        A law that flies alone is the same whatever the population is.
+        """
         row = self.row.encode() if isinstance(self.row, str) else msgspec.json.encode(self.row)
-        parts = (msgspec.json.encode(self.cell), row, population.encode())
+        alone = not isinstance(self.row, str) and self.row.law in LAWS
+        parts = (msgspec.json.encode(self.cell), row, b"" if alone else population.encode())
         return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
 
 
