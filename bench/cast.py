@@ -99,17 +99,17 @@ class Bench:
         trials = self.trials(case, hard)
         champion = self.cast.parameters[self.cast.champion]
         chosen = self.for_case[case.name]
-        names = list(dict.fromkeys([self.cast.members[self.cast.champion], chosen]))
+        names = self.cast.members if hard else list(dict.fromkeys([self.cast.members[self.cast.champion], chosen]))
         pilots = {name: self.cast.parameters[self.cast.members.index(name)] for name in names}
         specialist = self.specialists.get(case.name)
-        if specialist is not None and case.name != chosen:
+        if specialist is not None and case.name not in names:
             pilots["specialist"] = specialist
         flown = self.stage.fly(self.cast.network, np.array(list(pilots.values())), trials, champion if hard else None)
         cells = dict(zip(pilots, cells_of(flown, trials), strict=True))
         alone = self.stage.fly(self.cast.network, self.robust[None], trials)
         cells["robust"] = cells_of(alone, trials)[0]
-        if specialist is not None and case.name == chosen:
-            cells["specialist"] = cells[chosen]
+        if specialist is not None and case.name in names:
+            cells["specialist"] = cells[case.name]
         if hard:
             serl = self.stage.fly(self.serl.network, self.serl.parameters[self.serl.champion][None], trials)
             cells["serl"] = cells_of(serl, trials)[0]
@@ -172,7 +172,7 @@ class Kept(Settings, frozen=True):
 
 def key_of(cast: Folder, serl: Folder, protocol: Protocol, case: Case) -> str:
     """Return a hash of what a case's measurement depends on."""
-    return hashlib.sha256(msgspec.json.encode([cast.sha256, serl.sha256, protocol, case])).hexdigest()
+    return hashlib.sha256(msgspec.json.encode(["all members", cast.sha256, serl.sha256, protocol, case])).hexdigest()
 
 
 @click.command()

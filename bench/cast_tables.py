@@ -71,6 +71,7 @@ class Measured(Settings, frozen=True):
     chosen: str
     """The member that did best on the tuning trials."""
     members: dict[str, Cell]
+    """All of them in hard cases, else the chosen and the main one."""
     others: dict[str, Cell]
     """``specialist``, ``robust`` and, in hard cases, ``serl`` and the classical laws."""
     seconds: float = 0.0
@@ -84,6 +85,13 @@ def against(specialist: Cell, other: Cell) -> float:
     return float(np.mean([other.nmae[i] for i in kept]) / np.mean([specialist.nmae[i] for i in kept]))
 
 
+def best_member(case: Measured) -> tuple[str, float]:
+    """Return which member of a hard case has the least nMAE over the specialist's, and that."""
+    ratios = {name: against(case.others["specialist"], cell) for name, cell in case.members.items()}
+    best = min(ratios, key=lambda name: ratios[name])
+    return best, ratios[best]
+
+
 def word(ratio: float) -> str:
     """Return a ratio as a cell's text."""
     return f"{ratio:.2f}" if math.isfinite(ratio) else "lost"
@@ -95,15 +103,17 @@ def oracle_table(measured: Mapping[str, Measured], main: str) -> Table:
     for case in (m for m in measured.values() if m.hard):
         specialist, chosen = case.others["specialist"], case.members[case.chosen]
         flies = specialist.survived > 0
+        best, ratio = best_member(case) if flies else ("", math.inf)
         with_laws = min([chosen, *(case.others[law] for law in LAWS)], key=lambda cell: cell.rank)
         rows.append([
             case.case, str(specialist), case.chosen, str(chosen),
             word(against(specialist, chosen)) if flies else "-",
+            *((best, word(ratio)) if flies else ("-", "-")),
             str(case.members[main]), *(str(case.others[name]) for name in (*LAWS, "robust", "serl")), str(with_laws),
         ])  # fmt: skip
     columns = [
         "case", "specialist", "member chosen on tuning flights", "its nMAE", "over specialist's",
-        "main member alone", "PID", "INDI", "INDI, sign-free RLS",
+        "member that is best here", "over specialist's", "main member alone", "PID", "INDI", "INDI, sign-free RLS",
         "single robust policy", "SERL champion", "oracle over members and laws",
     ]  # fmt: skip
     return Table(title="Hard cases: nMAE % of the flights that survive", columns=columns, rows=rows)
@@ -184,8 +194,8 @@ def claims(measured: Mapping[str, Measured], members: list[str]) -> list[Claim]:
     ]  # fmt: skip
     some = [m for m in flown if any(against(m.others["specialist"], cell) <= RATIO for cell in m.members.values())]
     found.append(
-        Claim(claim="of these: the chosen or the main member survives what the specialist survives, with at most 1.5x "
-                    "its nMAE", value=len(some), unit=f"of {len(flown)}", target="all", holds=len(some) == len(flown))
+        Claim(claim="of these: some member survives what the specialist survives, with at most 1.5x its nMAE",
+              value=len(some), unit=f"of {len(flown)}", target="all", holds=len(some) == len(flown))
     )  # fmt: skip
     for law in LAWS:
         better = [m for m in flown if m.others[law].rank < m.members[m.chosen].rank]
