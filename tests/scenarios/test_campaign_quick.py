@@ -12,7 +12,9 @@ import msgspec
 import pyarrow.parquet as pq
 import pytest
 
+from runtime.population import load_population
 from scenarios.campaign.__main__ import QUICK
+from scenarios.run import find_population
 from task.results import Result
 
 COMMAND = (
@@ -47,7 +49,7 @@ def test_it_leaves_claims_tables_pictures_and_flights(whole):
     rows = [row[0] for row in every.rows]
     assert rows == ["none", "robust", "oracle", "understudy", "structured", "ensemble", "pid", "indi-rls-signfree"]
     flights = pq.read_table(whole / "campaign.parquet")
-    assert len(flights) == found.runs == 5 + 24
+    assert len(flights) == found.runs == 5 + len(load_population(find_population("citation")).members)
     assert any("the laws pid among them" in note for note in found.notes)
     assert (whole / "campaign_hard.png").stat().st_size > 10_000
     assert "# " in (whole / "report.md").read_text()

@@ -26,5 +26,5 @@ def test_peers_are_flown_when_they_are_named_and_only_then(tmp_path):
 
 
 def test_an_unknown_mode_is_answered_with_the_peers_too():
-    with pytest.raises(UserError, match=r"unknown mode 'lqr'; choose from none, .*soft, structured, pid, indi"):
+    with pytest.raises(UserError, match=r"unknown mode 'lqr'; choose from none, .*, structured, ensemble, pid, indi"):
         chosen_modes("lqr", ())
