@@ -56,7 +56,7 @@ class Decision(NamedTuple):
     """Index of the best member; -1 without one."""
     reason: Reason
     lead: float
-    """R_best - R_incumbent; NaN when either is unknown."""
+    """R_best - R_incumbent, with the head start of who flies first; NaN when either is unknown."""
 
 
 def decide(

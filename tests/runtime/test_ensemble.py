@@ -201,15 +201,14 @@ def test_an_ensemble_flies_well_and_saves_what_its_laws_lose(citation, plant_lin
 
 
 def test_a_law_s_imagined_return_is_near_what_it_then_earns(citation, plant_link, tmp_path):
-    """The healthy aircraft: the imagination of the law that flies, against the flight that follows."""
+    """A PID on the healthy aircraft, imagined every 2 s, against the 4 s of flight that follow."""
     link = plant_link(3000)
-    fly(link, citation, tmp_path / "f.ulg", "head_start=1000")
+    fly(link, citation, tmp_path / "f.ulg", "laws=['pid']", "first=pid", "head_start=1000")
     play = {t.name: t.data for t in ULog(str(tmp_path / "f.ulg")).data_list}["play"]
-    first = len(citation.members)
     error = np.abs(tracking_error(np.array(link.x[:3000]), ROWS[:3000]))
     reward = -np.clip(error * REWARD_SCALE, 0.0, 1.0).mean(axis=1)
     asked = [t for t in play["tick_asked"] if t + 401 < 3000]
     earned = np.array([reward[t + 1 : t + 401].sum() for t in asked])
-    imagined = play[f"returns[{first}]"][: len(asked)]
+    imagined = play[f"returns[{len(citation.members)}]"][: len(asked)]
     assert len(asked) > 8
-    assert np.abs(imagined - earned).mean() < 0.35 * np.abs(earned).mean() + 0.5
+    assert np.abs(imagined - earned).mean() < 0.1 * np.abs(earned).mean()
