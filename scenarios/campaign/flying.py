@@ -1,4 +1,5 @@
-"""One flight in process: the runtime's own session against the aircraft, or every member alone (:mod:`.members`).
+"""One flight in process: the runtime's own session against the aircraft; every member (:mod:`.members`) and every law
+(:mod:`.alone`) by itself.
 
 Nothing here reads the clock or a global state: a flight is a function of its cell, its row and the population.
 """
@@ -17,6 +18,7 @@ from runtime.link import LOST, OVER, Sample
 from runtime.population import Population
 from runtime.reference import RecordedReference
 from runtime.session import Session
+from scenarios.campaign.alone import Laws
 from scenarios.campaign.design import Cell, reference_rows
 from scenarios.campaign.members import Members
 from scenarios.campaign.mirrored import MIRRORED, load_mirrored
@@ -78,7 +80,8 @@ class Flyer:
         self._plant = Plant()
         self._members = Members(population, self._plant)
         self._folder = tempfile.TemporaryDirectory(prefix="campaign-")
-        self._laws: dict[str, Solo] = {}
+        self._laws = Laws(self._plant)
+        self._mirrored: Solo | None = None
 
     def __enter__(self) -> Flyer:
         return self
@@ -87,6 +90,10 @@ class Flyer:
         self._folder.cleanup()
 
     def fly(self, cell: Cell, row: Row) -> Record:
+        """Fly a row: a law by itself, all else through the runtime's own loop."""
+        return self._laws.fly(cell, row.law) if row.alone else self.fly_session(cell, row)
+
+    def fly_session(self, cell: Cell, row: Row) -> Record:
         """Fly a row through the runtime's own loop."""
         world = World(cell.flight, self._plant)
         rows = reference_rows(cell, float(world.x[STATE.theta]))
@@ -108,6 +115,7 @@ class Flyer:
         return self._members.fly(cell)
 
     def _law(self, name: LawName | Literal["pid-mirrored"]) -> Solo:
-        if name not in self._laws:
-            self._laws[name] = load_mirrored(self._population.rates) if name == MIRRORED else load_solo(name)
-        return self._laws[name]
+        if name != MIRRORED:
+            return load_solo(name)
+        self._mirrored = self._mirrored or load_mirrored(self._population.rates)
+        return self._mirrored

@@ -32,6 +32,11 @@ class Row(Settings, frozen=True):
     law: LawName | Literal["pid-mirrored"] | None = None
     """A law that flies in the cast's place."""
 
+    @property
+    def alone(self) -> bool:
+        """Whether one law flies by itself: no population, no estimator."""
+        return self.law in LAWS
+
     def configuration(self, preview: bool) -> Configuration:
         """Return the runtime's configuration. Raises UserError."""
         if self.law is not None:  # nobody listens to what would be identified

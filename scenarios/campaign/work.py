@@ -15,11 +15,10 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from runtime.laws.catalogue import LAWS
 from runtime.population import load_population
 from scenarios.campaign.design import Cell
 from scenarios.campaign.flying import Flyer
-from scenarios.campaign.rows import MEMBERS, Row
+from scenarios.campaign.rows import Row
 from scenarios.campaign.scores import Record
 from scenarios.campaign.store import Entry, Journal, from_plain, plain
 from task.errors import UserError
@@ -28,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 AIRCRAFT_SOURCES = ("sim_bridge", "task", *(f"scenarios/campaign/{name}.py" for name in ("design", "trace", "scores")))
 """What decides every flight, beside its cell and the population."""
 MEMBER_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/members.py", "runtime/population.py", "runtime/guard.py")
+LAW_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/alone.py", "runtime/laws", "runtime/guard.py")
 ROW_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/flying.py", "scenarios/campaign/mirrored.py", "runtime")
 """What decides the flight of a row."""
 
@@ -49,7 +49,7 @@ class Task(NamedTuple):
         A law that flies alone is the same whatever the population is.
         """
         row = self.row.encode() if isinstance(self.row, str) else msgspec.json.encode(self.row)
-        alone = not isinstance(self.row, str) and self.row.law in LAWS
+        alone = not isinstance(self.row, str) and self.row.alone
         parts = (msgspec.json.encode(self.cell), row, b"" if alone else population.encode())
         return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
 
@@ -77,7 +77,9 @@ def code_hash(places: tuple[str, ...]) -> str:
 
 def code_of(task: Task) -> str:
     """Return the hash of the program that flies a task."""
-    return code_hash(MEMBER_SOURCES if task.row == MEMBERS else ROW_SOURCES)
+    if isinstance(task.row, str):
+        return code_hash(MEMBER_SOURCES)
+    return code_hash(LAW_SOURCES if task.row.alone else ROW_SOURCES)
 
 
 def plan(cells: Iterable[Cell], rows: Sequence[Row | Literal["members"]]) -> list[Task]:

@@ -16,6 +16,7 @@ from export.population import Description, Member, Population
 from export.rates import RateSettings, rate_model
 from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
+from runtime.laws.catalogue import LAWS
 from runtime.population import BehaviouralPolicy, load_population
 from scenarios.campaign.__main__ import main
 from scenarios.campaign.design import cells, reference_rows
@@ -81,6 +82,16 @@ def test_a_member_alone_flies_as_the_runtime_does_bit_by_bit(cast):
                 alone.pop(ours, None)
             assert alone == runtime
     assert alone["survived"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_alone_flies_as_the_runtime_does_bit_by_bit(cast, law):
+    garbage = SensorBias(start=ROUGH.fault_at + 0.5, end=ROUGH.fault_at + 0.6, signal="h", bias=1e5)
+    held = msgspec.structs.replace(ROUGH, flight=msgspec.structs.replace(ROUGH.flight, faults=(garbage,)))
+    row = Row(name=law, law=law)
+    with Flyer(load_population(cast)) as flyer:
+        for cell in (REVERSED, ROUGH, held):
+            assert plain(flyer.fly(cell, row)) == plain(flyer.fly_session(cell, row))
 
 
 def slowly(cell, population, member):
