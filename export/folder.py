@@ -22,6 +22,7 @@ from export.manifest import MANIFEST, Manifest, describe
 from export.network import unflatten
 from export.population import PARAMETERS, Population, checked
 from export.prior import COMMAND_LAG, Prior
+from task.actuators import HEALTHY
 from task.config import to_json
 from task.errors import UserError
 from task.model import embed_reduced
@@ -118,16 +119,23 @@ def verify(folder: Path, manifest: Manifest, population: Population, prior: Prio
 
     play = manifest.golden_imagination
     asked = _question(play, prior)
+    healthy, limited = (
+        {"actuators": actuators.astype(np.float32)} for actuators in (HEALTHY, np.array(play.actuators))
+    )
     members = asked | {"incumbent": population.parameters[play.incumbent]}
-    _within("imagination", _difference(folder / IMAGINATION, members, play.returns), play.tolerance)
+    graph = session(folder / IMAGINATION)
+    _within("imagination", _difference(graph, members | healthy, play.returns), play.tolerance)
+    _within("imagination", _difference(graph, members | limited, play.limited_returns), play.tolerance)
     laws = manifest.golden_laws
     if laws is not None:
         given = {"maps": np.array(laws.maps, dtype=np.float32), "memory": np.array(laws.memory, dtype=np.float32)}
-        _within("laws", _difference(folder / LAWS, asked | given, laws.returns), laws.tolerance)
+        graph = session(folder / LAWS)
+        _within("laws", _difference(graph, asked | given | healthy, laws.returns), laws.tolerance)
+        _within("laws", _difference(graph, asked | given | limited, laws.limited_returns), laws.tolerance)
 
 
 def _question(play: GoldenImagination, prior: Prior) -> dict[str, np.ndarray]:
-    """Return the inputs that every imagination has."""
+    """Return the inputs that every imagination has, but for the actuators."""
     vectors = {name: np.array(getattr(play, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")}
     return {
         **vectors,
@@ -137,8 +145,8 @@ def _question(play: GoldenImagination, prior: Prior) -> dict[str, np.ndarray]:
     }
 
 
-def _difference(graph: Path, question: dict[str, np.ndarray], returns: list[float]) -> float:
-    return float(np.abs(session(graph).run(["returns"], question)[0][0] - returns).max())
+def _difference(graph: onnxruntime.InferenceSession, question: dict[str, np.ndarray], returns: list[float]) -> float:
+    return float(np.abs(graph.run(["returns"], question)[0][0] - returns).max())
 
 
 def _within(graph: str, difference: float, tolerance: float) -> None:

@@ -8,6 +8,7 @@ from export.network import forward, unflatten
 from export.population import Population
 from export.prior import COMMAND_LAG, Prior
 from export.rollout import MAX_DELAY, rollout, rollout_laws
+from task.actuators import HEALTHY
 from task.config import Settings
 from task.laws import N_MEMORY, N_SEEN, SEEN
 from task.limits import DT
@@ -18,6 +19,8 @@ from task.state import ACTION, N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENC
 GOLDEN_OBSERVATIONS = 4
 GOLDEN_STEPS = 50
 GOLDEN_DELAY = 3
+GOLDEN_ACTUATORS = np.array([[-0.03, -0.02, -0.015], [-0.005, 0.01, 0.005], [0.3, 0.5, 0.2]], np.float32).astype(float)
+"""Rows of ``task.actuators.ACTUATOR``."""
 
 
 class GoldenActions(Settings, frozen=True):
@@ -40,10 +43,14 @@ class GoldenImagination(Settings, frozen=True):
     delay: int
     """Of the commands, beyond ``command_lag`` [samples]."""
     reference: list[list[float]]
+    actuators: list[list[float]]
+    """(3, 3) of :mod:`task.actuators`, for ``limited_returns``; range and rate of every surface are felt."""
     incumbent: int
     """The member whose parameters are the incumbent's."""
     returns: list[float]
-    """(P + 1,)."""
+    """(P + 1,), surfaces healthy."""
+    limited_returns: list[float]
+    """(P + 1,), surfaces limited."""
     tolerance: float
     """Largest absolute difference that float32 explains."""
 
@@ -56,7 +63,9 @@ class GoldenLaws(Settings, frozen=True):
     memory: list[list[float]]
     """(Q, N_MEMORY)."""
     returns: list[float]
-    """(Q,)."""
+    """(Q,), surfaces healthy."""
+    limited_returns: list[float]
+    """(Q,), surfaces limited."""
     tolerance: float
     """Largest absolute difference that float32 explains."""
 
@@ -88,15 +97,21 @@ def golden_imagination(population: Population, prior: Prior, lag: int = COMMAND_
     reference = steps.astype(np.float32).astype(float)
     model = embed_reduced(prior.theta.astype(np.float32).astype(float))
     parameters = np.concatenate([population.parameters, population.parameters[population.champion, None]])
-    imagined = rollout(population.network, parameters, x, dx, commands, GOLDEN_DELAY, model, True, reference)
+    question = x, dx, commands, GOLDEN_DELAY, model, True, reference
+    healthy, limited = (
+        rollout(population.network, parameters, *question, actuators).returns.tolist()
+        for actuators in (HEALTHY, GOLDEN_ACTUATORS)
+    )
     return GoldenImagination(
         x=x.tolist(),
         dx=dx.tolist(),
         commands=commands.tolist(),
         delay=GOLDEN_DELAY,
         reference=reference.tolist(),
+        actuators=GOLDEN_ACTUATORS.tolist(),
         incumbent=population.champion,
-        returns=imagined.returns.tolist(),
+        returns=healthy,
+        limited_returns=limited,
         tolerance=1e-3,
     )
 
@@ -109,8 +124,14 @@ def golden_laws(play: GoldenImagination, prior: Prior) -> GoldenLaws:
     memory[2] = np.round(16.0 * np.cos(np.arange(N_MEMORY))) / 8.0
     x, dx, commands, reference = (np.array(part) for part in (play.x, play.dx, play.commands, play.reference))
     model = embed_reduced(prior.theta.astype(np.float32).astype(float))
-    imagined = rollout_laws(maps, memory, x, dx, commands, play.delay, model, True, reference)
-    return GoldenLaws(maps=maps.tolist(), memory=memory.tolist(), returns=imagined.returns.tolist(), tolerance=1e-4)
+    question = x, dx, commands, play.delay, model, True, reference
+    healthy, limited = (
+        rollout_laws(maps, memory, *question, actuators).returns.tolist()
+        for actuators in (HEALTHY, np.array(play.actuators))
+    )
+    return GoldenLaws(
+        maps=maps.tolist(), memory=memory.tolist(), returns=healthy, limited_returns=limited, tolerance=1e-4
+    )
 
 
 def _proportional() -> np.ndarray:

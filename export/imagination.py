@@ -11,7 +11,8 @@ import onnx
 
 from export.actors import Actors
 from export.builder import Builder, value
-from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs, rows_waiting
+from export.limiting import Limits
+from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs
 from export.network import Network
 from export.scoring import scores
 from export.stepping import N_LINEAR, Step, observed_reference, observed_state
@@ -23,7 +24,7 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
 
     parameters: (P, K) float32, the members; lag: samples between a command and the increment that it moves, beyond
     that of eq. 8.2. Inputs and outputs as in docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``,
-    ``exact_kinematics``, ``reference``, ``incumbent`` -> ``returns`` and ``unsafe``, (M, P + 1) each.
+    ``exact_kinematics``, ``actuators``, ``reference``, ``incumbent`` -> ``returns`` and ``unsafe``, (M, P + 1) each.
     """
     count = parameters.shape[0] + 1
     g = Builder()
@@ -33,7 +34,8 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
     now = g.slice("reference", 0, 0, -1, name="reference_now")
     following = g.slice("reference", 0, 1, name="reference_next")
     seen = observed_reference(g, now, network)
-    rows = first_rows(g, actors.offset, actors.unit, lag)
+    limits = Limits(g, actors.offset, actors.unit)
+    rows = first_rows(g, limits, lag)
     models = g.slice(g.op("Shape", "model"), 0, 0, 1)
     shape = g.op("Concat", models, g.op("Shape", rows), g.integers(count), axis=0)
     start = g.op("Expand", g.op("Unsqueeze", rows, g.integers(0, 2)), shape, name="linear_start")
@@ -42,10 +44,9 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
         s = b.op("Add", observed, SCAN_INPUT, name="s")
         return [], actors.act(b, b.op("Transpose", s, perm=[2, 0, 1], name="s_rows"))
 
-    waiting = rows_waiting(g, lag)
     seen_rows = N_OBSERVATION + 1
     pilots = Pilots(step.moves, _per_model(g, step, observed), (seen_rows,), 0, act, count)
-    before, after = fly(g, pilots, step, start, seen, (seen_rows, 1), waiting, lag)
+    before, after = fly(g, pilots, step, limits, start, seen, (seen_rows, 1), lag)
     for name, of in zip(("returns", "unsafe"), scores(g, before, after, following), strict=True):
         g.result(of, name)
     return g.model(

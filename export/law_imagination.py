@@ -15,7 +15,8 @@ import numpy as np
 import onnx
 
 from export.builder import Builder, value
-from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs, rows_waiting
+from export.limiting import Limits
+from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs
 from export.scoring import scores
 from export.stepping import ACTED, N_LINEAR, ONE, Step
 from task.laws import N_MEMORY, N_SEEN, READ, SEEN
@@ -33,8 +34,8 @@ def law_imagination(lag: int) -> onnx.ModelProto:
     """Return the rollout of Q laws in M models as one graph.
 
     lag: samples between a command and the increment that it moves, beyond that of eq. 8.2. Inputs and outputs as in
-    docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``, ``exact_kinematics``, ``reference``,
-    ``maps`` (Q, 11, 38), ``memory`` (Q, 8) -> ``returns`` and ``unsafe``, (M, Q) each.
+    docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``, ``exact_kinematics``, ``actuators``,
+    ``reference``, ``maps`` (Q, 11, 38), ``memory`` (Q, 8) -> ``returns`` and ``unsafe``, (M, Q) each.
     """
     g = Builder()
     step = Step(g, np.ones(N_ACTION))
@@ -50,7 +51,8 @@ def law_imagination(lag: int) -> onnx.ModelProto:
 
     moves = g.op("Pad", step.moves, g.integers(0, 0, N_OWN, 0, 0, 0), name="moves_of_all")
     given = _given(g)
-    common = first_rows(g, np.zeros(N_ACTION), np.ones(N_ACTION), lag)
+    limits = Limits(g, np.zeros(N_ACTION), np.ones(N_ACTION))
+    common = first_rows(g, limits, lag)
     begin = g.op("Concat", g.op("Reshape", g.slice(given, 0, 0, 1), g.integers(-1)), common, axis=0)
     every = g.op("Concat", laws, g.op("Shape", begin), axis=0)
     rows = g.op("Concat", "memory", g.op("Expand", begin, every), axis=1)
@@ -74,7 +76,7 @@ def law_imagination(lag: int) -> onnx.ModelProto:
         number=1,
         dimension="pairs",
     )
-    before, after = fly(g, pilots, step, start, seen, ("pairs", N_GIVEN, 1), rows_waiting(g, lag), lag)
+    before, after = fly(g, pilots, step, limits, start, seen, ("pairs", N_GIVEN, 1), lag)
     following = g.slice("reference", 0, 1, name="reference_next")
     shape = g.op("Concat", models, laws, axis=0)
     for name, of in zip(("returns", "unsafe"), scores(g, before, after, following), strict=True):

@@ -5,6 +5,8 @@ Inside the loop a node costs about as much to dispatch as to compute, so that th
 - states are columns, (M, rows, A) for M models and A actors; whatever a step needs of them is one product with a matrix
   that is made before the loop (:mod:`export.stepping`);
 - commands wait in a queue at the end of the state, as long as the command lag and the delay ask for;
+- actuators without limits, as most are, fly in a loop of their own, which pays nothing for what the other one limits
+  (:mod:`export.limiting`);
 - altitude, reward, termination and safety are taken from the whole trajectory after the loop (:mod:`export.scoring`).
 """
 
@@ -17,13 +19,16 @@ import numpy as np
 import onnx
 
 from export.builder import END, Builder, Shape, value
+from export.limiting import Limits
 from export.rollout import MAX_DELAY
 from export.stepping import ACTING, MOVES, N_PRODUCTS, Step, products
+from task.actuators import N_ACTUATOR
 from task.model import N_REGRESSORS
 from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
 
 SCAN_INPUT = "step/seen"
 """What the pilots need of the reference, sample by sample, within the loop."""
+FREE_LOOP, LIMITED_LOOP = "free", "limited"
 _LINEAR = "step/linear"
 
 
@@ -46,21 +51,19 @@ class Pilots(NamedTuple):
     """What the first dimension counts, by its name in the graph."""
 
 
-def first_rows(g: Builder, offset: np.ndarray, unit: np.ndarray, lag: int) -> str:
-    """Add L of :mod:`export.stepping` as the flights begin, (rows,); a command [rad] is offset + unit * its row."""
-    of_pilot = g.op("Sub", "commands", g.constant(offset, "offset"))
-    sent = g.op("Div", of_pilot, g.constant(unit, "unit"))
+def first_rows(g: Builder, limits: Limits, lag: int) -> str:
+    """Add L of :mod:`export.stepping` as the flights begin, (rows,)."""
     # the command that acted last, and the lag + delay younger ones
     first = g.op("Sub", g.integers(MAX_DELAY), g.op("Reshape", "delay", g.integers(1)), name="first_command")
-    recent = g.op("Slice", sent, first, g.integers(END), g.integers(0), name="recent")
+    recent = g.op("Slice", limits.rows(g, "commands"), first, g.integers(END), g.integers(0), name="recent")
     parts = [
         g.constant(np.ones(1), "one"), "x", "dx", g.constant(np.zeros(N_PRODUCTS), "no_product"),
-        g.op("Reshape", recent, g.integers(-1)),
+        g.op("Reshape", limits.waiting(g, recent, lag), g.integers(-1)),
     ]  # fmt: skip
     return g.op("Concat", *parts, axis=0)
 
 
-def rows_waiting(g: Builder, lag: int) -> str:
+def _rows_waiting(g: Builder, lag: int) -> str:
     """Add the number (1,) of rows of the queue behind those that every L has."""
     delayed = g.op("Mul", g.op("Reshape", "delay", g.integers(1)), g.integers(N_ACTION))
     return g.op("Add", delayed, g.integers(N_ACTION * (lag - 1))) if lag else delayed
@@ -73,31 +76,60 @@ def _widened(g: Builder, matrix: str, waiting: str) -> str:
 
 
 def fly(
-    g: Builder, pilots: Pilots, step: Step, start: str, seen: str, seen_shape: Shape, waiting: str, lag: int
+    g: Builder, pilots: Pilots, step: Step, limits: Limits, start: str, seen: str, seen_shape: Shape, lag: int
 ) -> tuple[str, str]:
-    """Add the loop; return the states before and after each of H steps, (H, M, 10, A).
+    """Add the loops; return the states before and after each of H steps, (H, M, 10, A).
 
-    start: (M, own + rows, A); seen: (H, *seen_shape), the body's input :data:`SCAN_INPUT`; waiting: from
-    :func:`rows_waiting`.
+    start: (M, own + rows, A); seen: (H, *seen_shape), the body's input :data:`SCAN_INPUT`.
     """
-    b = Builder(outer=g, prefix="step/")
+    branches = {}
+    for kind, of, name in (("then_branch", None, FREE_LOOP), ("else_branch", limits, LIMITED_LOOP)):
+        inner = Builder(outer=g, prefix=f"{name}/")
+        flights = _loop(inner, name, pilots, start, seen, seen_shape, lag, of)
+        shapes = (pilots.dimension, "rows", pilots.number), ("steps", pilots.dimension, N_IDENTIFIED, pilots.number)
+        branches[kind] = inner.body(name, [], [value(of, shape) for of, shape in zip(flights, shapes, strict=True)])
+    end, before = g.ops("If", limits.free, names=["linear_end", "before"], **branches)
+    last = g.op("MatMul", step.state, g.slice(end, 1, pilots.own, pilots.own + ACTING))
+    after = g.op("Concat", g.slice(before, 0, 1), g.op("Unsqueeze", last, g.integers(0)), axis=0, name="after")
+    return before, after
+
+
+def _loop(
+    g: Builder, name: str, pilots: Pilots, start: str, seen: str, seen_shape: Shape, lag: int, limits: Limits | None
+) -> list[str]:
+    """Add a loop whose commands act as given, or within limits; return its last state and the x of all steps."""
+    b = Builder(outer=g, prefix=f"{name}/step/")
+    waiting = _rows_waiting(g, lag)
     acting = pilots.own + ACTING
     parts = ["flown", "base", "rates", "arguments"]
     observed = ["observed", *(f"observed_{i}" for i in range(1, len(pilots.heights)))]
+    heights = pilots.heights
+    if limits:
+        observed, heights = [*observed, "most", "least"], (*heights, N_ACTION, N_ACTION)
 
     def split(rows: str, names: list[str], heights: tuple[int, ...]) -> list[str]:
         return b.ops("Split", rows, b.integers(*heights), names=names, axis=1) if len(names) > 1 else [rows]
 
+    def whole(matrix: str) -> str:
+        wide = _widened(g, matrix, waiting)
+        return limits.reached(g, wide, pilots.own, waiting, lag) if limits else wide
+
+    def act(*rows: str) -> tuple[list[str], str]:
+        if not limits:
+            return pilots.act(b, *rows)
+        own, command = pilots.act(b, *rows[:-2])
+        return own, limits.limited(b, command, *rows[-2:])
+
     if lag:  # what acts now was sent before: one product gives the move and what the pilots see
         both = g.op("Concat", pilots.moves, pilots.sees, axis=1, name="step_map")
-        rows = b.op("MatMul", _widened(g, both, waiting), _LINEAR)
-        flown, base, rates, arguments, *of_pilots = split(rows, parts + observed, (*MOVES, *pilots.heights))
+        rows = b.op("MatMul", whole(both), _LINEAR)
+        flown, base, rates, arguments, *of_pilots = split(rows, parts + observed, (*MOVES, *heights))
         moved = [base, products(b, rates, arguments), b.slice(_LINEAR, 1, acting)]
-        own, command = pilots.act(b, *of_pilots)
+        own, command = act(*of_pilots)
         following = [*own, *moved, command]
     else:
-        sees = _widened(g, g.slice(pilots.sees, 2, 0, acting), waiting)
-        own, command = pilots.act(b, *split(b.op("MatMul", sees, _LINEAR), observed, pilots.heights))
+        sees = whole(g.slice(pilots.sees, 2, 0, acting))
+        own, command = act(*split(b.op("MatMul", sees, _LINEAR), observed, heights))
         queue = b.op("Concat", _LINEAR, command, axis=1)
         flown, base, rates, arguments = split(b.op("MatMul", _widened(g, pilots.moves, waiting), queue), parts, MOVES)
         following = [*own, base, products(b, rates, arguments), b.slice(queue, 1, acting)]
@@ -105,14 +137,11 @@ def fly(
 
     shape = (pilots.dimension, "rows", pilots.number)
     body = b.body(
-        "step",
+        f"{name}.step",
         [value(_LINEAR, shape), value(SCAN_INPUT, seen_shape)],
         [value(linear_next, shape), value(flown, (pilots.dimension, N_IDENTIFIED, pilots.number))],
     )
-    end, before = g.ops("Scan", start, seen, names=["linear_end", "before"], body=body, num_scan_inputs=1)
-    last = g.op("MatMul", step.state, g.slice(end, 1, pilots.own, acting))
-    after = g.op("Concat", g.slice(before, 0, 1), g.op("Unsqueeze", last, g.integers(0)), axis=0, name="after")
-    return before, after
+    return g.ops("Scan", start, seen, names=["linear_end", "before"], body=body, num_scan_inputs=1)
 
 
 def inputs(lag: int) -> list[onnx.ValueInfoProto]:
@@ -124,5 +153,6 @@ def inputs(lag: int) -> list[onnx.ValueInfoProto]:
         value("delay", (), onnx.TensorProto.INT64),
         value("model", ("models", N_REGRESSORS, N_IDENTIFIED)),
         value("exact_kinematics", (), onnx.TensorProto.BOOL),
+        value("actuators", (N_ACTUATOR, N_ACTION)),
         value("reference", ("samples", N_REFERENCE)),
     ]

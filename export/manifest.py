@@ -31,7 +31,7 @@ from task.state import (
 )
 
 FORMAT = "understudy-population"
-VERSION = 2
+VERSION = 3
 MANIFEST = "manifest.json"
 
 

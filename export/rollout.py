@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from export.network import Network, forward, unflatten
+from task.actuators import HEALTHY, limited
 from task.laws import reference_rates, seen, step
 from task.limits import ACTION_HIGH, ACTION_LOW
 from task.model import predict_increment
@@ -42,6 +43,7 @@ def rollout(
     model: np.ndarray,
     exact_kinematics: bool,
     reference: np.ndarray,
+    actuators: np.ndarray = HEALTHY,
 ) -> Imagined:
     """Return what comes of each of P actors in the incremental model; parameters: (P, K) flat, the rest as in `flown`.
 
@@ -52,7 +54,7 @@ def rollout(
     def act(t: int, state: np.ndarray, increment: np.ndarray, acted: np.ndarray) -> np.ndarray:
         return forward(network, tensors, observation(state, reference[t])).clip(ACTION_LOW, ACTION_HIGH)
 
-    return flown(act, parameters.shape[0], x, dx, commands, delay, model, exact_kinematics, reference)
+    return flown(act, parameters.shape[0], x, dx, commands, delay, model, exact_kinematics, reference, actuators)
 
 
 def rollout_laws(
@@ -65,6 +67,7 @@ def rollout_laws(
     model: np.ndarray,
     exact_kinematics: bool,
     reference: np.ndarray,
+    actuators: np.ndarray = HEALTHY,
 ) -> Imagined:
     """Return what comes of each of Q laws of :mod:`task.laws` in the incremental model; the rest as in `flown`.
 
@@ -78,7 +81,7 @@ def rollout_laws(
         command, remembered = step(maps, remembered, seen(state, increment, acted, reference[t], rates[t]))
         return command
 
-    return flown(act, maps.shape[0], x, dx, commands, delay, model, exact_kinematics, reference)
+    return flown(act, maps.shape[0], x, dx, commands, delay, model, exact_kinematics, reference, actuators)
 
 
 def flown(
@@ -91,16 +94,21 @@ def flown(
     model: np.ndarray,
     exact_kinematics: bool,
     reference: np.ndarray,
+    actuators: np.ndarray = HEALTHY,
 ) -> Imagined:
     """Return what comes of flights from one start in the incremental model (thesis eqs 8.2, 12, 14).
 
     x, dx: (10,) state and its last increment; commands: (lag + 1 + MAX_DELAY, 3) the last commands sent [rad], oldest
     first; delay: every command acts so many samples later than the lag says, 0 to MAX_DELAY; model: (13, 10);
-    reference: (H + 1, 3) [rad], row t is t samples after x. From the step in which a flight leaves the limits of
-    ``task.reward.terminated`` on, every step costs CRASH_COST_PER_FRAME. Computes in x's precision.
+    reference: (H + 1, 3) [rad], row t is t samples after x; actuators: (3, 3) of :mod:`task.actuators`, which limit a
+    command when its turn comes to act. The last command that acted and the next, where it was sent already, are taken
+    to act as given. From the step in which a flight leaves the limits of ``task.reward.terminated`` on, every step
+    costs CRASH_COST_PER_FRAME. Computes in x's precision.
     """
+    actuators = actuators.astype(x.dtype)
     state, increment = np.tile(x, (flights, 1)), np.tile(dx, (flights, 1))
     sent = np.tile(commands[MAX_DELAY - delay :], (flights, 1, 1))
+    given = sent.shape[1] > 1
     alive = np.ones(flights, dtype=bool)
     returns, dangers = np.zeros(flights, dtype=x.dtype), np.zeros(flights, dtype=x.dtype)
     # A flight that is lost in the model may diverge until nothing is finite: it is no longer looked at.
@@ -108,6 +116,8 @@ def flown(
         for t, following in enumerate(reference[1:]):
             action = act(t, state, increment, sent[:, 0])
             sent = np.concatenate([sent, action[:, None].astype(x.dtype)], axis=1)
+            if t or not given:
+                sent[:, 1] = limited(sent[:, 1], sent[:, 0], actuators)
             increment = predict_increment(state, increment, sent[:, 1] - sent[:, 0], model, exact_kinematics)
             sent = sent[:, 1:]
             state = state + increment

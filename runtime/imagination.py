@@ -25,6 +25,7 @@ from runtime.population import (
     Population,
     make_session,
 )
+from task.actuators import HEALTHY
 from task.laws import N_MEMORY, N_SEEN, LinearLaw
 from task.model import N_REGRESSORS
 from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
@@ -56,6 +57,9 @@ class Snapshot(NamedTuple):
     """The Q laws that are members."""
     law: int | None = None
     """Which of them flies, and so is the incumbent; None when a network does."""
+    actuators: np.ndarray = HEALTHY
+    """(3, 3) range [rad] and rate [rad/s] of the surfaces, :mod:`task.actuators`. They limit the commands to come and
+    those that wait; the one that acted last and the one that acts now are what ``commands`` says."""
 
 
 class Prediction(NamedTuple):
@@ -85,6 +89,7 @@ class _Buffers:
         self.delay = np.zeros((), dtype=np.int64)
         self.model = np.zeros((1, N_REGRESSORS, N_IDENTIFIED), dtype=np.float32)
         self.exact_kinematics = np.zeros((), dtype=bool)
+        self.actuators = np.zeros(HEALTHY.shape, dtype=np.float32)
         self.incumbent = np.zeros(population.manifest.n_parameters, dtype=np.float32)
         self.longest = np.zeros((horizon + 1, N_REFERENCE), dtype=np.float32)
         self.reference = self.longest
@@ -102,6 +107,7 @@ class _Buffers:
         self.delay[()] = min(max(snapshot.delay, 0), self._max_delay)
         self.model = np.array(snapshot.model, dtype=np.float32).reshape(-1, N_REGRESSORS, N_IDENTIFIED)
         self.exact_kinematics[()] = snapshot.exact_kinematics
+        self.actuators[:] = snapshot.actuators
         self.incumbent[:] = snapshot.incumbent
         self.reference = self.longest[: len(snapshot.reference)]
         self.reference[:] = snapshot.reference[: len(self.longest)]

@@ -17,7 +17,7 @@ from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.state import ACTION, ACTION_TABLE, N_ACTION, N_IDENTIFIED, N_OBSERVATION, OBSERVATION, STATE, STATE_TABLE
 
 FORMAT = "understudy-population"
-VERSION = 2
+VERSION = 3
 
 
 class Header(msgspec.Struct):
@@ -92,15 +92,20 @@ class GoldenActions(Settings, frozen=True):
 
 
 class GoldenImagination(Settings, frozen=True):
-    """One imagination in the model prior with exact kinematics: inputs and returns (P + 1,), within ``tolerance``."""
+    """One imagination in the model prior with exact kinematics: inputs and returns (P + 1,), within ``tolerance``.
+
+    ``returns`` of healthy actuators, ``limited_returns`` of ``actuators`` (3, 3).
+    """
 
     x: list[float]
     dx: list[float]
     commands: list[list[float]]
     delay: int
     reference: list[list[float]]
+    actuators: list[list[float]]
     incumbent: int
     returns: list[float]
+    limited_returns: list[float]
     tolerance: float
 
 
@@ -110,6 +115,7 @@ class GoldenLaws(Settings, frozen=True):
     maps: list[list[list[float]]]
     memory: list[list[float]]
     returns: list[float]
+    limited_returns: list[float]
     tolerance: float
 
 

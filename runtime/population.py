@@ -12,6 +12,7 @@ import numpy as np
 import onnxruntime
 
 from runtime.manifest import GoldenImagination, GoldenLaws, Header, Manifest, check, check_header
+from task.actuators import HEALTHY, N_ACTUATOR
 from task.config import convert, read_bytes
 from task.errors import UserError
 from task.laws import N_MEMORY, N_SEEN
@@ -31,8 +32,9 @@ LAWS = "laws.onnx"
 PROBE_SIZE = 0.2
 """Largest error, rate and angle of attack at which members are compared [rad, rad/s]: those of a lively flight."""
 
-IMAGINATION_INPUTS = ("x", "dx", "commands", "delay", "model", "exact_kinematics", "reference", "incumbent")
-LAWS_INPUTS = (*IMAGINATION_INPUTS[:-1], "maps", "memory")
+_QUESTION = ("x", "dx", "commands", "delay", "model", "exact_kinematics", "actuators", "reference")
+IMAGINATION_INPUTS = (*_QUESTION, "incumbent")
+LAWS_INPUTS = (*_QUESTION, "maps", "memory")
 IMAGINATION_OUTPUTS = ("returns", "unsafe")
 
 
@@ -265,12 +267,13 @@ def _question_shapes(population: Population) -> dict[str, tuple[int | None, ...]
         "delay": (),
         "model": (None, N_REGRESSORS, N_IDENTIFIED),
         "exact_kinematics": (),
+        "actuators": (N_ACTUATOR, N_ACTION),
         "reference": (None, N_REFERENCE),
     }
 
 
 def _golden_question(population: Population) -> dict[str, np.ndarray]:
-    """Return the golden question, in the model prior with exact kinematics."""
+    """Return the golden question but for its actuators, in the model prior with exact kinematics."""
     golden = population.manifest.golden_imagination
     return {
         **{name: np.array(getattr(golden, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")},
@@ -282,12 +285,14 @@ def _golden_question(population: Population) -> dict[str, np.ndarray]:
 
 def _check_play(
     session: onnxruntime.InferenceSession, feeds: dict[str, np.ndarray], golden: GoldenImagination | GoldenLaws,
-    path: Path,
+    actuators: list[list[float]], path: Path,
 ) -> None:  # fmt: skip
-    """Raise UserError unless a graph answers the golden question as it did when it was exported."""
+    """Raise UserError unless a graph answers the golden question, surfaces healthy and limited, as when exported."""
     try:
-        returns = session.run(["returns"], feeds)[0][0]
-        difference = float(np.abs(returns - np.array(golden.returns)).max())
+        difference = 0.0
+        for of, expected in ((HEALTHY, golden.returns), (np.array(actuators), golden.limited_returns)):
+            returns = session.run(["returns"], feeds | {"actuators": of.astype(np.float32)})[0][0]
+            difference = float(np.maximum(difference, np.abs(returns - np.array(expected)).max()))
     except Exception as error:  # shapes that do not fit: whatever onnxruntime or numpy calls it
         raise UserError(f"{path}: cannot play the golden imagination: {_one_line(error)}") from None
     if not difference <= golden.tolerance:
@@ -303,7 +308,7 @@ def _check_imagination(population: Population, path: Path) -> None:
     _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
     golden = population.manifest.golden_imagination
     feeds = {**_golden_question(population), "incumbent": population.parameters[golden.incumbent]}
-    _check_play(session, feeds, golden, path)
+    _check_play(session, feeds, golden, golden.actuators, path)
 
 
 def _check_laws(population: Population, graph: bytes, path: Path) -> None:
@@ -315,7 +320,8 @@ def _check_laws(population: Population, graph: bytes, path: Path) -> None:
     shapes = {**_question_shapes(population), "maps": maps, "memory": (None, N_MEMORY)}
     _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
     laws = {name: np.array(getattr(golden, name), dtype=np.float32) for name in ("maps", "memory")}
-    _check_play(session, {**_golden_question(population), **laws}, golden, path)
+    actuators = population.manifest.golden_imagination.actuators
+    _check_play(session, {**_golden_question(population), **laws}, golden, actuators, path)
 
 
 class BehaviouralPolicy:

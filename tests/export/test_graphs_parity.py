@@ -19,6 +19,7 @@ from export.imagination import imagination
 from export.network import Layer, Network, forward, n_parameters, unflatten
 from export.population import Description, Member, Population
 from export.rollout import MAX_DELAY, Imagined, rollout
+from task.actuators import HEALTHY
 from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.model import embed_reduced, predict_increment
 from task.observation import observation
@@ -172,8 +173,11 @@ def test_policy_step_of_any_network(network, seed):
 class Case:
     """One imagination's inputs, in float64 values that float32 holds exactly."""
 
-    def __init__(self, horizon: int, lag: int, model: np.ndarray, exact: bool, delay: int = 0, seed: int = 3) -> None:
-        self.delay = delay
+    def __init__(
+        self, horizon: int, lag: int, model: np.ndarray, exact: bool, delay: int = 0, seed: int = 3,
+        actuators: np.ndarray = HEALTHY,
+    ) -> None:  # fmt: skip
+        self.delay, self.actuators = delay, self._exact(actuators)
         rng = np.random.default_rng(seed)
         x = np.zeros(10)
         x[:3] = rng.normal(0.0, 0.01, 3)
@@ -190,13 +194,13 @@ class Case:
     def imagined(self, network: Network, parameters: np.ndarray, kind: type = np.float64) -> Imagined:
         x, dx, commands, model = (a.astype(kind) for a in (self.x, self.dx, self.commands, self.model))
         reference = self.reference.astype(kind)
-        return rollout(network, parameters, x, dx, commands, self.delay, model, self.exact, reference)
+        return rollout(network, parameters, x, dx, commands, self.delay, model, self.exact, reference, self.actuators)
 
     def by_numpy(self, network: Network, parameters: np.ndarray, kind: type = np.float64) -> np.ndarray:
         return self.imagined(network, parameters, kind).returns
 
     def feeds(self, incumbent: np.ndarray) -> dict[str, np.ndarray]:
-        feeds = {k: getattr(self, k).astype(np.float32) for k in ("x", "dx", "commands", "reference")}
+        feeds = {k: getattr(self, k).astype(np.float32) for k in ("x", "dx", "commands", "reference", "actuators")}
         return {
             **feeds,
             "delay": np.array(self.delay),

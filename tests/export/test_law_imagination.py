@@ -14,6 +14,7 @@ from export.imagination import imagination
 from export.law_imagination import law_imagination
 from export.network import Layer, Network, n_parameters
 from export.rollout import MAX_DELAY, Imagined, rollout, rollout_laws
+from task.actuators import HEALTHY
 from task.laws import N_MEMORY, N_SEEN, READ, SEEN
 from task.limits import DEFLECTION_LIMIT, DT
 from task.model import embed_reduced, predict_increment
@@ -25,6 +26,7 @@ ROWS, COLUMNS = N_ACTION + N_MEMORY, N_MEMORY + N_SEEN
 TOLERANCE = 2e-4
 """Return over a hundred steps in float32."""
 TRIM = -0.025
+GIVEN = ("x", "dx", "commands", "reference", "actuators")
 
 
 def session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
@@ -56,7 +58,10 @@ def full_model(nominal_model) -> np.ndarray:
 class Question:
     """An imagination's inputs, in float64 values that float32 holds exactly."""
 
-    def __init__(self, models: np.ndarray, lag: int = 1, delay: int = 0, horizon: int = 100, exact: bool = True):
+    def __init__(
+        self, models: np.ndarray, lag: int = 1, delay: int = 0, horizon: int = 100, exact: bool = True,
+        actuators: np.ndarray = HEALTHY,
+    ) -> None:  # fmt: skip
         rng = np.random.default_rng(4)
         x = np.zeros(10)
         x[:3] = rng.normal(0.0, 0.01, 3)
@@ -66,17 +71,19 @@ class Question:
         self.x, self.dx, self.commands, self.reference, models = (a.astype(np.float32).astype(float) for a in arrays)
         self.models = models.reshape(-1, 13, 10)
         self.delay, self.exact = delay, exact
+        self.actuators = actuators.astype(np.float32).astype(float)
 
     def by_numpy(self, maps: np.ndarray, memory: np.ndarray) -> Imagined:
         """Return what comes of it in each model, (M, Q)."""
+        start = self.x, self.dx, self.commands, self.delay
         of_models = [
-            rollout_laws(maps, memory, self.x, self.dx, self.commands, self.delay, model, self.exact, self.reference)
+            rollout_laws(maps, memory, *start, model, self.exact, self.reference, self.actuators)
             for model in self.models
         ]
         return Imagined(*(np.stack(parts) for parts in zip(*of_models, strict=True)))
 
     def feeds(self) -> dict[str, np.ndarray]:
-        arrays = {name: getattr(self, name).astype(np.float32) for name in ("x", "dx", "commands", "reference")}
+        arrays = {name: getattr(self, name).astype(np.float32) for name in GIVEN}
         return arrays | {
             "model": self.models.astype(np.float32),
             "delay": np.array(self.delay),
