@@ -11,9 +11,11 @@ import numpy as np
 
 from export.builder import Builder, value
 from export.law_imagination import law_imagination
+from export.loop import FREE_LOOP, bodies
 from export.rollout import MAX_DELAY, rollout_laws
 from export.stepping import MOVES, N_LINEAR
 from runtime.population import make_session
+from task.actuators import HEALTHY
 from task.laws import N_MEMORY, N_SEEN, SEEN
 from task.results import Claim, Table
 from task.state import N_ACTION, TRACKED
@@ -21,6 +23,8 @@ from task.state import N_ACTION, TRACKED
 LAWS = 2
 HORIZON = 400
 MODELS = 3
+LIMITED = np.array([[-0.1, -0.05, -0.1], [0.1, 0.05, 0.1], [0.5, 0.5, 0.5]])
+"""Actuators (3, 3) whose range and rate are limited, rows of ``task.actuators.ACTUATOR``."""
 CHAIN = (2, 22)
 """Nodes of the loops whose difference shows what a node costs."""
 
@@ -39,9 +43,8 @@ def laws(count: int) -> np.ndarray:
 
 
 def loop_nodes() -> int:
-    """Return the number of nodes within the graph's loop."""
-    scans = (n for n in law_imagination(1).graph.node if n.op_type == "Scan")
-    return sum(len(a.g.node) for scan in scans for a in scan.attribute if a.name == "body")
+    """Return the number of nodes within the graph's loop, surfaces healthy."""
+    return len(bodies(law_imagination(1))[FREE_LOOP].node)
 
 
 def chain(nodes: int, steps: int) -> Callable[[], object]:
@@ -70,10 +73,10 @@ def variants(asked: dict[str, np.ndarray]) -> dict[str, Callable[[], object]]:
     maps, memory = laws(LAWS), np.zeros((LAWS, N_MEMORY), dtype=np.float32)
     session = make_session(law_imagination(1).SerializeToString(), "laws")
 
-    def play(delay: int, models: int) -> Callable[[], object]:
+    def play(delay: int, models: int, actuators: np.ndarray = HEALTHY) -> Callable[[], object]:
         feeds = asked | {
             "delay": np.array(delay), "exact_kinematics": np.array(True), "maps": maps, "memory": memory,
-            "model": np.repeat(asked["model"][None], models, axis=0),
+            "model": np.repeat(asked["model"][None], models, axis=0), "actuators": actuators.astype(np.float32),
         }  # fmt: skip
         return lambda: session.run(None, feeds)
 
@@ -82,6 +85,7 @@ def variants(asked: dict[str, np.ndarray]) -> dict[str, Callable[[], object]]:
         "graph": play(0, 1),
         "delay 20": play(MAX_DELAY, 1),
         f"{MODELS} models": play(0, MODELS),
+        "limited": play(0, 1, LIMITED),
         "batched numpy": lambda: rollout_laws(maps, memory, *start, 0, asked["model"], True, asked["reference"]),
         "short chain": chain(CHAIN[0], HORIZON),
         "long chain": chain(CHAIN[1], HORIZON),
@@ -102,6 +106,7 @@ def figures(ms: dict[str, float]) -> tuple[list[Claim], Table]:
               unit="times as long"),
         Claim(claim=f"{MODELS} models at once, {label}", value=round(ms[f"{MODELS} models"] / graph, 2),
               unit="times as long", target=f"< {MODELS}", holds=ms[f"{MODELS} models"] < MODELS * graph),
+        Claim(claim=f"surfaces limited, {label}", value=round(ms["limited"] / graph, 2), unit="times as long"),
     ]  # fmt: skip
     table = Table(
         title="Median of one imagination of classical laws, one thread",

@@ -19,8 +19,8 @@ from task.state import ACTION, N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENC
 GOLDEN_OBSERVATIONS = 4
 GOLDEN_STEPS = 50
 GOLDEN_DELAY = 3
-GOLDEN_ACTUATORS = np.array([[-0.03, -0.02, -0.015], [-0.005, 0.01, 0.005], [0.3, 0.5, 0.2]], np.float32).astype(float)
-"""Rows of ``task.actuators.ACTUATOR``."""
+GOLDEN_ACTUATORS = np.array([[-0.03, 0.042, 0.002], [-0.01, 0.05, 0.012], [0.3, 0.5, 0.1]], np.float32).astype(float)
+"""Rows of ``task.actuators.ACTUATOR``; the golden laws reach every one of them."""
 
 
 class GoldenActions(Settings, frozen=True):

@@ -73,7 +73,7 @@ class Limits:
     def reached(self, g: Builder, step_map: str, own: int, waiting: str, lag: int) -> str:
         """Add rows to a step's map (M, n, columns): the most and the least that the next command can be, 3 each.
 
-        own: columns ahead of L; waiting: from ``export.loop.rows_waiting``.
+        own: columns ahead of L; waiting: (1,) columns behind those that every L has.
         """
         columns = N_LINEAR if lag else ACTING
         between = g.op("Add", waiting, g.integers(columns - ONE - 1 - N_ACTION))

@@ -29,6 +29,7 @@ from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
 SCAN_INPUT = "step/seen"
 """What the pilots need of the reference, sample by sample, within the loop."""
 FREE_LOOP, LIMITED_LOOP = "free", "limited"
+"""The loops of actuators without limits of their own, and with."""
 _LINEAR = "step/linear"
 
 
@@ -142,6 +143,13 @@ def _loop(
         [value(linear_next, shape), value(flown, (pilots.dimension, N_IDENTIFIED, pilots.number))],
     )
     return g.ops("Scan", start, seen, names=["linear_end", "before"], body=body, num_scan_inputs=1)
+
+
+def bodies(model: onnx.ModelProto) -> dict[str, onnx.GraphProto]:
+    """Return what is done each step in the loops of an imagination, :data:`FREE_LOOP` and :data:`LIMITED_LOOP`."""
+    branches = (a.g for node in model.graph.node if node.op_type == "If" for a in node.attribute)
+    scans = ((branch.name, node) for branch in branches for node in branch.node if node.op_type == "Scan")
+    return {name: a.g for name, scan in scans for a in scan.attribute if a.name == "body"}
 
 
 def inputs(lag: int) -> list[onnx.ValueInfoProto]:

@@ -5,6 +5,8 @@ torch stands here as an independent transcription, in float64: modules as anybod
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import onnx
 import onnxruntime
@@ -16,15 +18,17 @@ from torch import nn
 
 from export.behaviour import behaviour
 from export.imagination import imagination
+from export.loop import FREE_LOOP, LIMITED_LOOP, bodies
 from export.network import Layer, Network, forward, n_parameters, unflatten
 from export.population import Description, Member, Population
 from export.rollout import MAX_DELAY, Imagined, rollout
-from task.actuators import HEALTHY
+from task.actuators import ACTUATOR, HEALTHY, limited
 from task.limits import ACTION_HIGH, ACTION_LOW, DT
-from task.model import embed_reduced, predict_increment
+from task.model import embed_reduced, predict_increment, with_effectiveness
 from task.observation import observation
 from task.reference import random_reference
 from task.reward import CRASH_COST_PER_FRAME, REWARD_SCALE
+from task.state import ACTION, N_IDENTIFIED
 
 ACTION_TOLERANCE = 2e-6
 """One step of a policy in float32 [rad]."""
@@ -430,15 +434,139 @@ def test_the_imagination_limits_commands_as_the_gate_does(make_actors, nominal_m
     np.testing.assert_allclose(returns, expected, rtol=0, atol=1e-3)
 
 
+# ------------------------------------------------------------------------------------------------ limited actuators
+
+
+def tight(rate: float = 0.25) -> np.ndarray:
+    """Return a slow elevator, a slow aileron of small range and a rudder that is all but jammed."""
+    actuators = HEALTHY.copy()
+    actuators[ACTUATOR.rate, ACTION.de] = rate
+    actuators[:, ACTION.da] = -0.012, 0.008, 4.0 * rate
+    actuators[:, ACTION.dr] = 0.004, 0.006, np.inf
+    return actuators
+
+
+@pytest.mark.parametrize(
+    ("name", "lag", "delay"), [*itertools.product(["thesis", "scaled"], [0, 1], [0, 15]), ("linear-law", 3, 1)]
+)
+def test_limited_actuators(delay, lag, name, make_actors, nominal_model):
+    """In several models, one with crossed surfaces; each surface's limits are felt."""
+    network = NETWORKS[name]
+    population = make_actors(network, members=3, seed=5)
+    graph = session(imagination(network, population.parameters, lag))
+    crossed = with_effectiveness(nominal_model, np.array([[0.3, -0.5, 0.0], [0.4, 1.0, 0.2], [0.0, 0.1, -1.0]]))
+    models = np.stack([nominal_model, crossed, nominal_model * 0.99])
+    actors = np.concatenate([population.parameters, population.parameters[:1]])
+
+    def flown(actuators: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        case = Case(100, lag, models, True, delay, actuators=actuators)
+        expected = []
+        for model in models:
+            alone = Case(100, lag, model, True, delay, actuators=actuators)
+            expected.append(alone.by_numpy(network, actors))
+        return np.stack(expected), graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+
+    healthy, _ = flown(HEALTHY)
+    expected, returns = flown(tight())
+    np.testing.assert_allclose(returns, expected, rtol=0, atol=RETURN_TOLERANCE[200])
+    for surface in ACTION:
+        actuators = tight()
+        actuators[:, surface] = HEALTHY[:, surface]
+        less, returns = flown(actuators)
+        np.testing.assert_allclose(returns, less, rtol=0, atol=RETURN_TOLERANCE[200])
+        assert np.abs(less - expected).max() > 10 * RETURN_TOLERANCE[200]
+    assert np.abs(healthy - expected).max() > 100 * RETURN_TOLERANCE[200]
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("delay", [0, 1, 15])
+def test_healthy_actuators_are_those_that_no_limit_holds(delay, lag, make_actors, nominal_model):
+    """Both loops fly alike where limits are beyond what is commanded, and so does the reference.
+
+    Products of more rows may add up in another order.
+    """
+    network = NETWORKS["thesis"]
+    population = make_actors(network, members=3, seed=5)
+    graph = session(imagination(network, population.parameters, lag))
+    wide = HEALTHY.copy()
+    wide[ACTUATOR.rate] = 100.0
+    answers, references = [], []
+    for actuators in (HEALTHY, wide):
+        case = Case(200, lag, nominal_model, True, delay, actuators=actuators)
+        answers.append(graph.run(["returns", "unsafe"], case.feeds(population.parameters[0])))
+        references.append(case.by_numpy(network, population.parameters))
+    np.testing.assert_allclose(answers[1], answers[0], rtol=0, atol=RETURN_TOLERANCE[200])
+    np.testing.assert_array_equal(references[0], references[1])
+
+
+@pytest.mark.parametrize("lag", [0, 1, 3])
+@pytest.mark.parametrize("delay", [0, 1, 15])
+def test_what_acts_already_is_given_and_what_waits_is_limited(delay, lag, make_actors, nominal_model):
+    """Commands sent before lie beyond the range, and further apart than the rate."""
+    network = NETWORKS["scaled"]
+    population = make_actors(network, members=2)
+    graph = session(imagination(network, population.parameters, lag))
+    actuators = tight(rate=0.5)
+    case = Case(40, lag, nominal_model, True, delay, actuators=actuators)
+    case.commands[:] = np.random.default_rng(8).uniform(-0.1, 0.1, case.commands.shape).astype(np.float32)
+
+    def flown(case: Case) -> np.ndarray:
+        expected = case.by_numpy(network, population.parameters)
+        returns = graph.run(["returns"], case.feeds(population.parameters[0]))[0][0, :2]
+        np.testing.assert_allclose(returns, expected, rtol=0, atol=RETURN_TOLERANCE[50])
+        return expected
+
+    as_given, first = flown(case), MAX_DELAY - case.delay
+    queue = case.commands[first:]
+    acting = [*queue[:2]]
+    for command in queue[2:]:
+        acting.append(limited(command, acting[-1], actuators))
+    queue[:] = acting
+    np.testing.assert_allclose(flown(case), as_given, rtol=0, atol=1e-6)  # limits know what has been limited
+    queue[0] = limited(queue[0], np.zeros(3), actuators)
+    assert np.abs(flown(case) - as_given).max() > 10 * RETURN_TOLERANCE[50]
+
+
+def test_a_jammed_surface_flies_as_a_command_that_stays(make_actors, nominal_model):
+    """An elevator that is stuck is one that the model does not feel, once it stands where it stuck."""
+    network = NETWORKS["thesis"]
+    population = make_actors(network, members=3, seed=5)
+    case = Case(100, 1, nominal_model, True)
+    case.commands[:, ACTION.de] = -0.015625
+    case.actuators = HEALTHY.copy()
+    case.actuators[: ACTUATOR.rate, ACTION.de] = -0.015625
+    graph = session(imagination(network, population.parameters, 1))
+    (jammed,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+    case.actuators = HEALTHY
+    (free,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+    case.model = nominal_model.copy()
+    case.model[N_IDENTIFIED + ACTION.de] = 0.0
+    (dead,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+    np.testing.assert_allclose(jammed, dead, rtol=0, atol=RETURN_TOLERANCE[200])
+    assert np.abs(jammed - free).max() > 1.0
+
+
+def test_nan_among_the_limits_costs_a_crash(make_actors, nominal_model):
+    network = NETWORKS["thesis"]
+    population = make_actors(network, members=2)
+    graph = session(imagination(network, population.parameters, 1))
+    for row in ACTUATOR:
+        actuators = HEALTHY.copy()
+        actuators[row, ACTION.de] = np.nan
+        case = Case(20, 1, nominal_model, True, actuators=actuators)
+        (returns,) = graph.run(["returns"], case.feeds(population.parameters[0]))[0]
+        assert (returns <= -(20 - 1) * CRASH_COST_PER_FRAME).all()  # the first command acts one sample late
+
+
 def test_the_loop_holds_few_nodes(make_actors):
     """A node costs about a microsecond a step; whoever adds one should know it."""
     nodes = {}
     for name in ("thesis", "thesis-standard", "td3-relu"):
-        graph = imagination(NETWORKS[name], make_actors(NETWORKS[name]).parameters, 1).graph
-        (scan,) = (n for n in graph.node if n.op_type == "Scan")
-        (body,) = (a.g for a in scan.attribute if a.name == "body")
-        assert not any(n.op_type in ("Loop", "If", "Scan") for n in body.node)
-        nodes[name] = len(body.node)
+        loops = bodies(imagination(NETWORKS[name], make_actors(NETWORKS[name]).parameters, 1))
+        for body in loops.values():
+            assert not any(n.op_type in ("Loop", "If", "Scan") for n in body.node)
+        nodes[name] = len(loops[FREE_LOOP].node)
+        assert len(loops[LIMITED_LOOP].node) == nodes[name] + 4
     assert nodes["td3-relu"] <= 24
     assert nodes["thesis"] <= 42
     assert nodes["thesis-standard"] <= 36

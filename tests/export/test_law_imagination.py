@@ -12,12 +12,13 @@ import pytest
 from export.golden import golden_imagination, golden_laws
 from export.imagination import imagination
 from export.law_imagination import law_imagination
+from export.loop import FREE_LOOP, LIMITED_LOOP, bodies
 from export.network import Layer, Network, n_parameters
 from export.rollout import MAX_DELAY, Imagined, rollout, rollout_laws
-from task.actuators import HEALTHY
+from task.actuators import ACTUATOR, HEALTHY
 from task.laws import N_MEMORY, N_SEEN, READ, SEEN
 from task.limits import DEFLECTION_LIMIT, DT
-from task.model import embed_reduced, predict_increment
+from task.model import embed_reduced, predict_increment, with_effectiveness
 from task.reference import random_reference
 from task.reward import CRASH_COST_PER_FRAME, REWARD_SCALE
 from task.state import ACTION, N_ACTION, REFERENCE, STATE
@@ -281,6 +282,74 @@ def test_commands_are_limited(graphs, nominal_model):
         assert abs(question.by_numpy(less, memory[:1]).returns[0, 0] - returns[0, 0]) > 1.0
 
 
+def tight(rate: float = 0.25) -> np.ndarray:
+    """Return a slow elevator, a slow aileron of small range and a rudder that is all but jammed."""
+    actuators = HEALTHY.copy()
+    actuators[ACTUATOR.rate, ACTION.de] = rate
+    actuators[:, ACTION.da] = -0.012, 0.008, 4.0 * rate
+    actuators[:, ACTION.dr] = 0.004, 0.006, np.inf
+    return actuators
+
+
+@pytest.mark.parametrize("exact", [True, False], ids=["exact-kinematics", "full-model"])
+@pytest.mark.parametrize("lag", [0, 1, 3])
+@pytest.mark.parametrize("delay", [0, 1, 15])
+def test_limited_actuators(delay, lag, exact, graphs, nominal_model, full_model):
+    """Laws that read what acted, in several models, one with crossed surfaces; each surface's limits are felt."""
+    model = nominal_model if exact else full_model
+    crossed = with_effectiveness(model, np.array([[0.3, -0.5, 0.0], [0.4, 1.0, 0.2], [0.0, 0.1, -1.0]]))
+    models = np.stack([model, crossed, 0.99 * model])
+    maps, memory = random_laws(3, growth=0.95, gain=0.1, seed=delay)
+
+    def flown(actuators: np.ndarray) -> np.ndarray:
+        question = Question(models, lag, delay, exact=exact, actuators=actuators)
+        question.commands *= 3.0
+        expected, got = question.by_numpy(maps, memory), question.by_graph(graphs[lag], maps, memory)
+        np.testing.assert_allclose(got.returns, expected.returns, rtol=0, atol=10 * TOLERANCE)
+        np.testing.assert_allclose(got.unsafe, expected.unsafe, rtol=0, atol=1.0)
+        return expected.returns
+
+    expected = flown(tight())
+    for surface in ACTION:
+        actuators = tight()
+        actuators[:, surface] = HEALTHY[:, surface]
+        assert np.abs(flown(actuators) - expected).max() > 100 * TOLERANCE
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("delay", [0, 15])
+def test_limits_beyond_what_is_commanded_change_nothing(delay, lag, graphs, nominal_model):
+    """Both loops fly alike, but for the order in which a product of more rows may add up."""
+    wide = HEALTHY.copy()
+    wide[ACTUATOR.rate] = 100.0
+    maps, memory = random_laws(3, growth=0.95)
+    healthy, held = (
+        Question(nominal_model, lag, delay, actuators=actuators).by_graph(graphs[lag], maps, memory)
+        for actuators in (HEALTHY, wide)
+    )
+    np.testing.assert_allclose(held.returns, healthy.returns, rtol=0, atol=0.1 * TOLERANCE)
+    np.testing.assert_array_equal(healthy.unsafe, held.unsafe)
+
+
+def test_a_law_with_a_slow_aileron_flies_a_ramp(graphs, nominal_model):
+    """By hand: a step that the aileron can only follow at its rate is the ramp that a quick one is told to fly."""
+    rate = 0.25
+    slow = HEALTHY.copy()
+    slow[ACTUATOR.rate, ACTION.da] = rate
+    one, sum_before, sum_after = columns(SEEN.one).start, 0, N_ACTION
+    maps, memory = np.zeros((2, ROWS, COLUMNS)), np.zeros((2, N_MEMORY))
+    maps[0, ACTION.da, one] = 0.1
+    maps[1, [ACTION.da, sum_after], sum_before], maps[1, sum_after, one] = 1.0, rate * DT
+    memory[1, 0] = rate * DT
+    quick = Question(nominal_model, horizon=40)
+    quick.commands[:] = 0.0
+    at_once = quick.by_graph(graphs[1], maps, memory).returns[0]
+    quick.actuators = slow
+    slowly = quick.by_graph(graphs[1], maps, memory).returns[0]
+    assert slowly[0] == pytest.approx(at_once[1], abs=1e-4)
+    assert abs(slowly[0] - at_once[0]) > 0.5
+
+
 @pytest.mark.parametrize("start", ["level", "steep", "diverging", "nan"])
 @pytest.mark.parametrize("delay", [0, 5])
 def test_a_law_of_zeros_is_a_network_of_zeros(delay, start, graphs, nominal_model):
@@ -329,9 +398,22 @@ def test_heading_and_altitude_read_as_zero(graphs, nominal_model):
 
 def test_the_loop_holds_few_nodes():
     """A node costs about a microsecond a step; whoever adds one should know it."""
-    (scan,) = (n for n in law_imagination(1).graph.node if n.op_type == "Scan")
-    (body,) = (a.g for a in scan.attribute if a.name == "body")
-    assert len(body.node) <= 9
+    loops = bodies(law_imagination(1))
+    assert len(loops[FREE_LOOP].node) <= 9
+    assert len(loops[LIMITED_LOOP].node) <= 13
+
+
+def test_the_golden_laws_would_notice_any_limit_that_is_not_felt(short_prior, make_actors):
+    play = golden_imagination(make_actors(Network(layers=(Layer(units=3),))), short_prior)
+    golden = golden_laws(play, short_prior)
+    maps, memory = np.array(golden.maps), np.array(golden.memory)
+    model = embed_reduced(short_prior.theta)
+    start = (*(np.array(part) for part in (play.x, play.dx, play.commands)), play.delay, model, True)
+    for limit in np.ndindex(HEALTHY.shape):
+        actuators = np.array(play.actuators)
+        actuators[limit] = HEALTHY[limit]
+        returns = rollout_laws(maps, memory, *start, np.array(play.reference), actuators).returns
+        assert np.abs(returns - golden.limited_returns).max() > 10 * golden.tolerance, limit
 
 
 def test_the_golden_laws_would_notice_any_column_that_is_not_read(short_prior, make_actors):

@@ -10,6 +10,7 @@ import pytest
 
 from runtime.imagination import Imagination, Snapshot
 from runtime.population import load_population
+from task.actuators import HEALTHY
 from task.model import embed_reduced
 
 HORIZON = 200
@@ -55,6 +56,20 @@ def test_it_gives_the_golden_returns(imagination, snapshot, population):
     assert 0.0 < prediction.seconds < 10.0
 
 
+def test_it_gives_the_golden_returns_of_limited_surfaces_and_healthy_ones_are_the_default(
+    imagination, snapshot, population
+):
+    golden = population.manifest.golden_imagination
+    imagination.request(snapshot._replace(actuators=np.array(golden.actuators)), tick=1)
+    (limited,) = imagination.wait(1).returns
+    np.testing.assert_allclose(limited, golden.limited_returns, rtol=0, atol=golden.tolerance)
+    assert np.abs(limited - golden.returns).max() > 100 * golden.tolerance
+    imagination.request(snapshot, tick=2)
+    (healthy,) = imagination.wait(2).returns
+    imagination.request(snapshot._replace(actuators=HEALTHY), tick=3)
+    np.testing.assert_array_equal(imagination.wait(3).returns[0], healthy)
+
+
 def test_the_incumbent_and_its_member_are_predicted_alike(imagination, snapshot, population):
     for member in range(4):
         imagination.request(longest(snapshot)._replace(incumbent=population.parameters[member]), member)
@@ -76,10 +91,11 @@ def test_the_same_question_has_the_same_answer_bit_for_bit(imagination, snapshot
 
 
 def test_a_request_copies_what_it_is_given(imagination, snapshot):
+    snapshot = snapshot._replace(actuators=HEALTHY.copy())
     imagination.request(snapshot, 0)
     expected = imagination.wait(0).returns
     imagination.request(snapshot, 1)
-    for array in (snapshot.x, snapshot.dx, snapshot.commands, snapshot.model, snapshot.reference):
+    for array in (snapshot.x, snapshot.dx, snapshot.commands, snapshot.model, snapshot.reference, snapshot.actuators):
         array[:] = np.nan
     np.testing.assert_array_equal(imagination.wait(1).returns, expected)
 
