@@ -13,8 +13,8 @@ Found: 3.5 to 7 times as fast as numpy; against arithmetic and weights the predi
 shape, small ones stay further above both. There it is not the nodes alone that are paid for, as was believed at first:
 a product of one row with one actor's weights costs 0.2 to 0.3 us whatever its size, so that layers times actors count.
 Halving the nodes of the loop therefore saves a third of a small cast's time, not half, and nothing of 50 wide members'.
-Limits of range and rate cost a small cast about a fifth more, a large one a twentieth, for four nodes and six rows of the
-product; healthy surfaces pay none of it, because they fly in a loop of their own.
+Limits of range and rate cost a small cast about a fifth more, a large one a twentieth, for four nodes and six rows of
+the product; healthy surfaces pay none of it, because they fly in a loop of their own.
 Late commands cost a small cast up to a quarter more, a large one nothing to speak of. Several models at once cost less
 than one after the other, because their rows share an actor's weights; the smaller the cast, the less they cost.
 """
