@@ -160,7 +160,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """The threshold grows by this share for each e-fold of the bias's drift that turbulence asks for [-]: gusts are not
     quite a random walk. Light turbulence doubles the threshold."""
 
-    alarm_shift: Positive = 40.0
+    alarm_shift: Positive = 50.0
     """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]."""
 
     shift_time: Positive = 5.0
@@ -176,7 +176,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness_agile: NotNegative = 0.01
     """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: tuple[Positive, Positive, Positive] = (25.0, 30.0, 30.0)
+    agile_lead: tuple[Positive, Positive, Positive] = (30.0, 55.0, 45.0)
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
@@ -186,10 +186,13 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     crossed: bool = True
     """Whether aileron and rudder may be found to have each other's commands."""
 
-    delay_memory: Fraction = 0.98
+    rate_limits: tuple[Positive, ...] = (0.14, 0.087, 0.052)
+    """Rates that no surface may be found to exceed [rad/s]."""
+
+    delay_memory: Fraction = 0.99
     """Forgetting of the log-likelihoods of delays, crossed commands and the agile filter, each sample [-]."""
 
-    delay_lead: Positive = 30.0
+    delay_lead: Positive = 36.0
     """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]. In quiet flight
     every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by chance."""
 
@@ -288,7 +291,9 @@ class Configuration(Settings, frozen=True, kw_only=True):
 
 PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
-    "structured": Adaptation(effectiveness="structured", identify=False),
+    "structured": Adaptation(
+        effectiveness="structured", identify=False, head_start=1.0, forecast_time=0.5, confirmations=2
+    ),
     "ensemble": Adaptation(
         effectiveness="structured",
         identify=False,
@@ -304,7 +309,7 @@ PRESETS: dict[str, Adaptation] = {
 }
 """``ensemble`` is the recommended one for a cast bred for hard faults: the surfaces' signed effectiveness and the delay
 of the commands are found, laws and networks are one cast, and the model stays at the population's prior otherwise.
-``structured`` is the same with the networks alone, deciding on each imagination as it comes. ``understudy`` is the
+``structured`` is the same with the networks alone. ``understudy`` is the
 mended recipe of chapter 8, for ideal sensors: with noisy ones raw increments tell nothing. ``thesis`` is chapter 8
 read literally: ten states, Theta = 0, t_play = t_h = 2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning
 of 50 % for negative returns are our reading."""

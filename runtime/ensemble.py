@@ -64,7 +64,9 @@ class Ensemble:
         return self._action
 
     def sent(self, command: np.ndarray) -> None:
-        """Take what was sent."""
+        """Take what was sent; a law is told what of it is believed to act."""
         np.copyto(self._sent, command)
+        found = self._model.effectiveness
+        acts = command if found is None else found.followed()[-1]
         for law in self._laws:
-            law.sent(command)
+            law.sent(acts)

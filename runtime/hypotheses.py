@@ -1,8 +1,8 @@
 """What may have become of the commands on their way to the surfaces, and which of it the evidence is for.
 
-Each hypothesis says which older command acts now (a delay beyond ``command_lag``) and on which surface (aileron and
-rudder crossed). How well the surfaces work is the filters' affair, so that a hypothesis is right whatever their
-effectiveness.
+Each hypothesis says which older command acts now (a delay beyond ``command_lag``), on which surface (aileron and
+rudder crossed), and how fast surfaces move. How well they work is the filters' affair, so that a hypothesis is right
+whatever their effectiveness.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from task.actuators import ACTUATOR, HEALTHY, limited
 from task.state import ACTION, N_ACTION
 
 STRAIGHT = (int(ACTION.de), int(ACTION.da), int(ACTION.dr))
@@ -26,19 +27,29 @@ class Hypothesis(NamedTuple):
     """Samples beyond ``command_lag``."""
     order: tuple[int, int, int]
     """Whose command acts as elevator, aileron, rudder."""
+    rate: float = math.inf
+    """How fast every surface moves at most [rad/s]."""
 
 
-def hypotheses(delays: tuple[float, ...], crossed: bool, dt: float) -> tuple[Hypothesis, ...]:
-    """Return the healthy one first, then each delay [s], then crossed aileron and rudder without delay."""
+def hypotheses(delays: tuple[float, ...], crossed: bool, rates: tuple[float, ...], dt: float) -> tuple[Hypothesis, ...]:
+    """Return the healthy one first, then each delay [s], crossed aileron and rudder, and each rate limit [rad/s]."""
     late = sorted({round(delay / dt) for delay in delays} - {0})
     straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
-    return (*straight, Hypothesis(0, CROSSED)) if crossed else straight
+    slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(rates), reverse=True))
+    return straight + (Hypothesis(0, CROSSED),) * crossed + slow
+
+
+def actuators(choice: Hypothesis) -> np.ndarray:
+    """Return range and rate of the surfaces (3, 3), as in :mod:`task.actuators`."""
+    found = HEALTHY.copy()
+    found[ACTUATOR.rate] = choice.rate
+    return found
 
 
 class Inputs:
     """The commands of the last samples, and what each hypothesis makes of them: ``u`` (M, 3) [rad]."""
 
-    def __init__(self, choices: tuple[Hypothesis, ...], command_lag: int) -> None:
+    def __init__(self, choices: tuple[Hypothesis, ...], command_lag: int, dt: float) -> None:
         self._least = command_lag + 1
         length = self._least + max(choice.delay for choice in choices)
         self._commands = np.zeros((length, N_ACTION))
@@ -47,6 +58,14 @@ class Inputs:
         self._where = np.array([
             [(length - self._least - choice.delay) * N_ACTION + of for of in choice.order] for choice in choices
         ])  # fmt: skip
+        self._slow = next((i for i, choice in enumerate(choices) if choice.rate < math.inf), len(choices))
+        """Row of the first hypothesis of slow surfaces; they come last."""
+        limits = [actuators(choice) for choice in choices[self._slow :]]
+        self._actuators = np.array(limits).reshape(-1, len(ACTUATOR), N_ACTION).swapaxes(0, 1)
+        self._dt = dt
+        self._followed = np.zeros((self._least + 1, len(limits), N_ACTION))
+        """What slow surfaces make of the last commands, each from the one before."""
+        self._older_followed, self._newer_followed = self._followed[:-1], self._followed[1:]
         self.u, self.before = np.zeros((2, len(choices), N_ACTION))
         """What acts on the last state, and on the one before it."""
         self.restart()
@@ -64,15 +83,26 @@ class Inputs:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
         if self._sent == 0:
             self._commands[:] = action
+            self._followed[:] = action
         else:
             np.copyto(self._older, self._newer)
             self._commands[-1] = action
+            if self._slow < len(self.u):
+                np.copyto(self._older_followed, self._newer_followed)
+                self._followed[-1] = limited(action, self._followed[-2], self._actuators, self._dt)
         self._sent += 1
+
+    def followed(self, hypothesis: int) -> np.ndarray:
+        """Return what becomes of the last ``command_lag`` + 1 commands, without their delay: oldest first (L, 3)."""
+        slow = hypothesis - self._slow
+        return self._commands[-self._least :] if slow < 0 else self._followed[1:, slow]
 
     def take(self) -> np.ndarray:
         """Return ``u``, brought up to date."""
         np.copyto(self.before, self.u)
         np.take(self._flat, self._where, out=self.u, mode="clip")
+        if self._slow < len(self.u):
+            self.u[self._slow :] = self._followed[1]
         return self.u
 
 

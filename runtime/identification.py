@@ -13,6 +13,7 @@ from runtime.config import Adaptation
 from runtime.history import CommandHistory
 from runtime.lowpass import LowPass
 from runtime.structured import Effectiveness
+from task.actuators import HEALTHY
 from task.errors import UserError
 from task.limits import DT
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced, kinematic_rates
@@ -96,8 +97,9 @@ class Identified(NamedTuple):
     """What was learnt, as the imagination needs it; every array is a copy, float32.
 
     x (10,) state; dx (10,) its last increment; commands (command_lag + 1 + max_delay, 3) the last commands sent, oldest
-    first [rad]; delay: that of the commands, beyond ``command_lag`` [samples]; model (13, 10) as in :mod:`task.model`;
-    exact_kinematics: whether attitude and altitude follow from it.
+    first [rad], those that act by now as they are believed to; delay: that of the commands, beyond ``command_lag``
+    [samples]; model (13, 10) as in :mod:`task.model`; exact_kinematics: whether attitude and altitude follow from it;
+    actuators (3, 3) as in :mod:`task.actuators`.
     """
 
     x: np.ndarray
@@ -106,6 +108,7 @@ class Identified(NamedTuple):
     delay: int
     model: np.ndarray
     exact_kinematics: bool
+    actuators: np.ndarray = HEALTHY
 
 
 class IncrementalModel:
@@ -246,13 +249,16 @@ class IncrementalModel:
         theta = self.rls.Theta
         model = (embed_reduced(theta) if self.exact_kinematics else theta).astype(np.float32)
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
-        delay = 0
+        delay, commands, actuators = 0, self._history.latest(), HEALTHY
         if self.effectiveness is not None:
             self.effectiveness.impose(x, dx, model)
             if self.exact_kinematics:  # differences of noisy angles would be rates that are not there
                 dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
             delay = min(self.effectiveness.delay_samples, self.max_delay)
-        return Identified(x, dx, self._history.latest(), delay, model, self.exact_kinematics)
+            actuators = self.effectiveness.actuators
+            if not delay:
+                commands[-self.command_lag - 1 :] = self.effectiveness.followed()
+        return Identified(x, dx, commands, delay, model, self.exact_kinematics, actuators.astype(np.float32))
 
 
 def _wrap(dx: np.ndarray, angle: int) -> None:

@@ -114,7 +114,9 @@ class Session:
         identified = self._model.snapshot()
         reference = np.zeros((self._horizon + 1, N_REFERENCE), dtype=np.float32)
         laws = self._ensemble.linear() if self._ensemble else ()
-        self._imagination.request(Snapshot(*identified, reference=reference, incumbent=self._cast.live, laws=laws), 0)
+        self._imagination.request(
+            Snapshot(**identified._asdict(), reference=reference, incumbent=self._cast.live, laws=laws), 0
+        )
         self._imagination.wait(0)
 
     def fly(self) -> list[Flown]:

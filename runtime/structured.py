@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from runtime.config import Adaptation
-from runtime.hypotheses import Evidence, Inputs, hypotheses
+from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
 from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
 from runtime.shift import Shift
 from runtime.stuck import Stuck, turning
@@ -22,6 +22,8 @@ from task.model import with_effectiveness
 from task.rates import KNEE, RATES, RateModel, washout
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
+LOW_KNEE = math.radians(-3.0)
+"""Angle of attack below which the model errs too. Soon after an alarm what surfaces do errs more."""
 AXIS = (1, 0, 2)
 """Which of p, q, r elevator, aileron and rudder move most."""
 
@@ -40,22 +42,27 @@ class Effectiveness:
     """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
     UNKNOWN = 0.25
     """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
+    CALM = 5.0
+    """So long after the filters have closed nothing has changed lately [s]."""
+    DEAD = 0.2
+    """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
     BEYOND = 1e9
     """Largest normalised innovation; what is more, or no number, counts as this."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
-        self.hypotheses = hypotheses(settings.delays, settings.crossed, dt)
+        self.hypotheses = hypotheses(settings.delays, settings.crossed, settings.rate_limits, dt)
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
         """Row of the first agile filter."""
         self.filter = RateFilters(model, self._agile + N_ACTION, dt)
-        self._inputs = Inputs(self.hypotheses, command_lag)
+        self._inputs = Inputs(self.hypotheses, command_lag, dt)
         self._u = np.zeros((self._agile + N_ACTION, N_ACTION))
         self._dt = dt
         self._open_at = max(round(settings.open_after / dt), 1)
         self._close_at = self._open_at + max(round(settings.open_time / dt), 1)
         self._hold = round(settings.alarm_hold / dt)
+        self._calm_at = self._close_at + round(self.CALM / dt)
         self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
         self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
         self._least_q_bias = np.square(settings.q_bias).tolist()
@@ -160,6 +167,11 @@ class Effectiveness:
         return mixing
 
     @property
+    def actuators(self) -> np.ndarray:
+        """Return what is believed of range and rate of the surfaces (3, 3), as in :mod:`task.actuators`."""
+        return actuators(self.hypotheses[self.evidence.believed])
+
+    @property
     def known(self) -> bool:
         """Whether the filters run: they have two samples without a gap."""
         return self._states > 1 and self._inputs.known
@@ -202,6 +214,13 @@ class Effectiveness:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
         self._inputs.send(action)
 
+    def followed(self) -> np.ndarray:
+        """Return what is believed to become of the last ``command_lag`` + 1 commands (L, 3) [rad], oldest first.
+
+        Their delay is left out: it is what waits.
+        """
+        return self._inputs.followed(self.evidence.believed)
+
     def moved(self, out: np.ndarray) -> None:
         """Set the increment (3,) [rad] of healthy deflection that would have moved the last increment of the state."""
         inputs, believed = self._inputs, self.evidence.believed
@@ -231,15 +250,16 @@ class Effectiveness:
         drift = f.drift_step.tolist()
         opened = self._q is self._q_open
         share = (self.settings.model_error_open if opened else self.settings.model_error) / self._dt
-        near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, 0.0)) ** 2
+        low = LOW_KNEE - x[STATE.alpha] if self._since > self._calm_at else 0.0
+        near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, low, 0.0)) ** 2
         f.q[:, B] = [
             least * level * near_stall + (share * (new - old)) ** 2
             for least, level, new, old in zip(self._least_q_bias, levels, drift, self._drift or drift, strict=True)
         ]
         self._drift = drift
         if self.stuck.any:
-            _, _, _, alpha, beta = self.stuck.signals
-            f.q[:, B] += self.UNKNOWN * np.array((beta, alpha, beta))
+            _, _, _, no_alpha, no_beta = self.stuck.signals
+            f.q[:, B] += self.UNKNOWN * np.array((no_beta, no_alpha, no_beta))
         f.predict()
 
     def _model_increment(self) -> None:
@@ -283,7 +303,8 @@ class Effectiveness:
             if self.stuck.any and self.stuck.blind[AXIS[surface]]:
                 continue
             margin = self.settings.belief_sd * math.sqrt(max(variance, 0.0))
-            self.believed[surface] = min(max(self.believed[surface], found - margin), found + margin)
+            moved = min(max(self.believed[surface], found - margin), found + margin)
+            self.believed[surface] = 0.0 if abs(found) <= margin <= self.DEAD else moved
 
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""

@@ -56,6 +56,8 @@ class INDI(Law):
 
     REACH = 0.5
     """Largest gain of the rate loop times the delay of the commands [-]; an ideal loop would be lost at pi / 2."""
+    SWING = 0.017
+    """Of a surface whose rate is limited: such a limit counts as the delay that this takes [rad]."""
     CASCADE = 0.4
     """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
 
@@ -75,7 +77,7 @@ class INDI(Law):
         self._acceleration, self._acceleration_before = np.zeros(3), np.zeros(3)
         self._before_first, self._before_second = np.zeros(n), np.zeros(n)
         self._commands = [np.zeros(N_ACTION) for _ in range(3 + MAX_DELAY)]
-        self._delay, self._order = 0, STRAIGHT
+        self._delay, self._order, self._rate = 0, STRAIGHT, math.inf
         self._k_attitude, self._k_rate = gains.attitude, gains.rate
         self._ratio, self._cos_alpha, self._cos_phi = 1.0, 1.0, 1.0
         self._told = False
@@ -85,6 +87,7 @@ class INDI(Law):
         """Start a new flight: trim, nothing learnt."""
         super().reset()
         self._told = False
+        self._rate = math.inf
         self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
             self.estimate.reset()
@@ -101,24 +104,26 @@ class INDI(Law):
         self._commands.append(oldest)
         self._told = True
 
-    def match(self, delay: int, order: tuple[int, int, int]) -> None:
-        """Take how late the commands act beyond the link's lag [samples], and whose acts on which surface."""
-        if (delay, order) == (self._delay, self._order):
+    def match(self, delay: int, order: tuple[int, int, int], rate: float = math.inf) -> None:
+        """Take how late the commands act beyond the link's lag [samples], whose acts on which surface, and how fast."""
+        if (delay, order, rate) == (self._delay, self._order, self._rate):
             return
-        if order != self._order:  # what was learnt of a surface was learnt from another one's commands
+        if order != self._order or rate != self._rate:  # what was learnt was learnt from what did not act
             self._samples = 0
             if self.estimate is not None:
                 self.estimate.reset()
+        self._rate = rate
         self._match_gains(min(delay, MAX_DELAY), order)
 
     def _match_gains(self, delay: int, order: tuple[int, int, int]) -> None:
         """Keep both loops as slow as the delay asks for."""
         self._delay, self._order = delay, order
         k_theta, k_phi, k_beta = self._gains.attitude
-        most = self.REACH / (delay * self._dt) if delay else math.inf
+        late = delay * self._dt + self.SWING / self._rate
+        most = self.REACH / late if late else math.inf
         k_p, k_q, k_r = (min(k, most) for k in self._gains.rate)
         self._k_rate = k_p, k_q, k_r
-        self._k_attitude = self._gains.attitude if not delay else (
+        self._k_attitude = self._gains.attitude if not late else (
             min(k_theta, self.CASCADE * k_q), min(k_phi, self.CASCADE * k_p), min(k_beta, self.CASCADE * k_r)
         )  # fmt: skip
 

@@ -80,10 +80,11 @@ class Law:
     def sent(self, command: np.ndarray) -> None:
         """Take what was sent; a law without memory of it ignores it."""
 
-    def match(self, delay: int, order: tuple[int, int, int]) -> None:
+    def match(self, delay: int, order: tuple[int, int, int], rate: float = math.inf) -> None:
         """Take what is believed to become of the commands; a law that cannot use it ignores it.
 
-        delay: samples beyond the link's command lag; order: whose command acts as elevator, aileron and rudder.
+        delay: samples beyond the link's command lag; order: whose command acts as elevator, aileron and rudder;
+        rate: how fast surfaces move at most [rad/s], which :meth:`sent` has in its commands then.
         """
 
     def linear(self) -> LinearLaw:

@@ -1,5 +1,4 @@
-"""One flight in process: the runtime's own session against the aircraft; every member (:mod:`.members`) and every law
-(:mod:`.alone`) by itself.
+"""One flight in process: the runtime's own session against the aircraft, or members and laws by themselves.
 
 Nothing here reads the clock or a global state: a flight is a function of its cell, its row and the population.
 """

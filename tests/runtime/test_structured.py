@@ -11,8 +11,9 @@ from runtime.rate_filter import ALPHA_MID, SLOPES, N, RateFilters
 from runtime.structured import Effectiveness
 from runtime.stuck import Stuck
 from runtime.switching import opposed
+from task.actuators import ACTUATOR
 from task.errors import UserError
-from task.limits import DT
+from task.limits import DEFLECTION_LIMIT, DT
 from task.model import N_REGRESSORS
 from task.rates import N_EFFECT, N_FEATURES, RateModel, dynamic_pressure, effect_terms, features
 from task.state import N_IDENTIFIED, STATE
@@ -39,6 +40,7 @@ class Aircraft:
         self.w, self.effect, self.sent = np.zeros(3), np.ones(3), [np.zeros(3)]
         self.tick, self.delay, self.order = 0, 0, [0, 1, 2]
         self.attitude, self.stuck = np.zeros(3), {}
+        self.rate, self.acting = np.inf, np.zeros(3)
 
     def read(self):
         x = state(
@@ -52,7 +54,8 @@ class Aircraft:
 
     def step(self, u):
         """One sample: the command of before acts now (command lag 1), or an older one."""
-        acting = self.sent[max(-1 - self.delay, -len(self.sent))][self.order]
+        asked = self.sent[max(-1 - self.delay, -len(self.sent))][self.order]
+        acting = self.acting = asked.clip(self.acting - self.rate * DT, self.acting + self.rate * DT)
         qbar = dynamic_pressure(90.0, 2000.0)
         phi = np.array(features(*self.w, 90.0, 0.05, 0.0, 0.0, qbar))
         terms = np.array(effect_terms(90.0, 0.05, qbar))
@@ -157,13 +160,30 @@ def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sa
 
 
 def test_inputs_are_the_commands_of_each_hypothesis():
-    choices = hypotheses((0.02, 0.05), True, DT)
-    assert [(c.delay, c.order) for c in choices] == [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
-    inputs = Inputs(choices, command_lag=1)
+    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), DT)
+    healthy = [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
+    assert [(c.delay, c.order) for c in choices] == [*healthy, (0, STRAIGHT), (0, STRAIGHT)]
+    assert [c.rate for c in choices] == [np.inf] * 4 + [50.0, 25.0]
+    inputs = Inputs(choices, command_lag=1, dt=DT)
     for k in range(8):
         inputs.send(np.array([k, k + 0.1, k + 0.2]))
     # before a[8] is sent, a[6] acts (lag 1)
-    np.testing.assert_allclose(inputs.take(), [[6, 6.1, 6.2], [4, 4.1, 4.2], [1, 1.1, 1.2], [6, 6.2, 6.1]])
+    healthy = [[6, 6.1, 6.2], [4, 4.1, 4.2], [1, 1.1, 1.2], [6, 6.2, 6.1]]
+    np.testing.assert_allclose(inputs.take()[:4], healthy)
+    np.testing.assert_allclose(inputs.followed(2), [[6, 6.1, 6.2], [7, 7.1, 7.2]])
+
+
+def test_slow_surfaces_follow_their_commands_and_stop_at_the_range_of_the_task():
+    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), DT), command_lag=1, dt=DT), DT
+    for asked in (0.0, 0.1, 0.1, 0.1, 0.1, -0.5):
+        inputs.send(np.full(3, asked))
+    fast, slow = inputs.followed(1), inputs.followed(2)
+    np.testing.assert_allclose(fast[:, 0], [4 * 2.0 * dt, 3 * 2.0 * dt])
+    np.testing.assert_allclose(slow[:, 0], [4 * dt, 3 * dt])
+    np.testing.assert_allclose(inputs.take()[:, 0], [0.1, 4 * 2.0 * dt, 4 * dt])
+    for _ in range(100):
+        inputs.send(np.full(3, -0.5))
+    np.testing.assert_allclose(inputs.followed(1)[-1], -DEFLECTION_LIMIT)
 
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
@@ -238,6 +258,22 @@ def test_late_commands_are_found_and_their_end_too(noise, samples):
     aircraft.delay = 0
     watch(found, aircraft, 300)
     assert found.delay_samples == 0
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("rate", [0.045, 0.06])
+def test_slow_surfaces_are_found_and_imagined_as_such(noise, rate):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    assert np.isinf(found.actuators[ACTUATOR.rate]).all()
+    aircraft.rate = rate  # the commands ask for up to 0.17 rad/s
+    assert watch(found, aircraft, 200)
+    assert (found.actuators[ACTUATOR.rate] == 0.052).all()
+    np.testing.assert_allclose(found.effectiveness[:2], 1.0, atol=0.35)
+    np.testing.assert_allclose(found.followed()[1], aircraft.acting, atol=0.02)
+    aircraft.rate = np.inf
+    watch(found, aircraft, 300)
+    assert np.isinf(found.actuators[ACTUATOR.rate]).all()
 
 
 @pytest.mark.parametrize("effect", [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0)])
