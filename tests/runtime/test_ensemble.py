@@ -17,14 +17,15 @@ from runtime.reference import RecordedReference
 from runtime.session import Session, members_of
 from runtime.switching import Action, Cast, Decision, Reason
 from sim_bridge.plant import NOMINAL, Plant
+from task.actuators import ACTUATOR, HEALTHY, limited
 from task.errors import UserError
 from task.laws import seen, step
 from task.limits import DT
 from task.metrics import nmae
 from task.observation import tracking_error
-from task.reference import base_reference
+from task.reference import base_reference, random_reference
 from task.reward import REWARD_SCALE, terminated
-from task.state import N_IDENTIFIED
+from task.state import N_IDENTIFIED, REFERENCE
 
 ROWS = base_reference(40.0, 0.056)
 CITATION = Path(__file__).parents[2] / "populations" / "citation"
@@ -36,19 +37,28 @@ def citation():
     return load_population(CITATION)
 
 
-def flight(law, ticks, effect=lambda tick, sent: sent[-1], told=lambda tick, law: None, look=lambda *seen: None):
-    """Fly a law on the plant; ``effect``: what reaches the surfaces. Return the states of the flight."""
+def flight(
+    law,
+    ticks,
+    effect=lambda tick, sent: sent[-1],
+    told=lambda tick, law: None,
+    look=lambda *seen: None,
+    hears=False,
+    rows=ROWS,
+):
+    """Fly a law on the plant; ``effect``: what reaches the surfaces, ``hears``: and the law. Return the states."""
     plant = Plant()
     x = plant.reset(NOMINAL).copy()
     states, sent = [x], []
     for tick in range(ticks):
         told(tick, law)
         before = law.linear() if sent else None
-        action = law.steer(x, ROWS[tick]).copy()
+        action = law.steer(x, rows[tick]).copy()
         look(tick, before, states, sent, action)
-        law.sent(action)
         sent.append(action)
-        x = plant.step(effect(tick, sent)).copy()
+        reached = effect(tick, sent)
+        law.sent(reached if hears else action)
+        x = plant.step(reached).copy()
         states.append(x)
         if terminated(x):
             break
@@ -103,6 +113,31 @@ def test_late_commands_are_flown_by_an_indi_that_knows(name):
     assert error < 8.0
     unknown = flight(make_law(name, SETTINGS), 3000, late)
     assert len(unknown) < 3001 or nmae(tracking_error(unknown[1:], ROWS[:3000])) > 3.0 * error
+
+
+def test_slow_surfaces_are_flown_by_an_indi_that_knows():
+    rate = np.radians(4.0)
+    slow = HEALTHY.copy()
+    slow[ACTUATOR.rate] = rate
+    rows = random_reference(np.random.default_rng(3), 30.0, 0.0, "aggressive")
+    rows[:, REFERENCE.theta] += ROWS[0, REFERENCE.theta]
+
+    def fly(knows):
+        acting = [np.zeros(3)]
+
+        def slowed(tick, sent):
+            acting.append(limited(sent[-1], acting[-1], slow) if tick >= 500 else sent[-1])
+            return acting[-1]
+
+        def tell(tick, law):
+            law.match(0, STRAIGHT, rate if knows and tick >= 500 else np.inf)
+
+        return flight(make_law("indi-rls-signfree", SETTINGS), 2900, slowed, tell, hears=knows, rows=rows)
+
+    known, unknown = fly(True), fly(False)
+    assert len(known) == 2901
+    assert nmae(tracking_error(known[1:], rows[:2900])) < 60.0
+    assert len(unknown) < 2901
 
 
 def test_crossed_surfaces_are_flown_by_an_indi_that_knows():
