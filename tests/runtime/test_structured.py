@@ -415,6 +415,25 @@ def test_the_imagination_gets_signed_rows_of_g_and_rates_without_noise():
     assert (model.rls.Theta == theta).all()
 
 
+def test_the_imagination_starts_from_what_slow_surfaces_do_with_the_commands():
+    model = IncrementalModel(SETTINGS, 1, np.ones((11, 6)), np.eye(11), rates=MODEL, max_delay=15)
+    aircraft = Aircraft()
+    for k in range(700):
+        aircraft.rate = 0.052 if k >= 500 else np.inf
+        model.observe(aircraft.read())
+        if k < 699:
+            u = aircraft.command()
+            model.command(u)
+            aircraft.step(u)
+    identified = model.snapshot()
+    assert identified.delay == 0
+    np.testing.assert_allclose(identified.actuators[ACTUATOR.rate], 0.052, rtol=1e-6)
+    sent = np.array(aircraft.sent[-2:])
+    acted = identified.commands[-2:]
+    assert np.abs(acted - sent).max() > 0.005
+    np.testing.assert_allclose(acted[0], aircraft.acting, atol=2e-3)
+
+
 def test_a_population_without_a_rate_model_is_refused_in_one_line():
     with pytest.raises(UserError, match="the population brings no rate model; export it again"):
         IncrementalModel(SETTINGS, 1, np.zeros((11, 6)), np.eye(11))
