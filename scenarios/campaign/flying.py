@@ -90,7 +90,7 @@ class Flyer:
 
     def fly(self, cell: Cell, row: Row) -> Record:
         """Fly a row: a law by itself, all else through the runtime's own loop."""
-        return self._laws.fly(cell, row.law) if row.alone else self.fly_session(cell, row)
+        return self._laws.fly(cell, row.alone) if row.alone else self.fly_session(cell, row)
 
     def fly_session(self, cell: Cell, row: Row) -> Record:
         """Fly a row through the runtime's own loop."""

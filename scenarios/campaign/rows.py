@@ -33,9 +33,9 @@ class Row(Settings, frozen=True):
     """A law that flies in the cast's place."""
 
     @property
-    def alone(self) -> bool:
-        """Whether one law flies by itself: no population, no estimator."""
-        return self.law in LAWS
+    def alone(self) -> LawName | None:
+        """The law that flies by itself, without population and estimator; None in every other row."""
+        return None if self.law == "pid-mirrored" else self.law
 
     def configuration(self, preview: bool) -> Configuration:
         """Return the runtime's configuration. Raises UserError."""

@@ -49,7 +49,7 @@ class Task(NamedTuple):
         A law that flies alone is the same whatever the population is.
         """
         row = self.row.encode() if isinstance(self.row, str) else msgspec.json.encode(self.row)
-        alone = not isinstance(self.row, str) and self.row.alone
+        alone = not isinstance(self.row, str) and self.row.alone is not None
         parts = (msgspec.json.encode(self.cell), row, b"" if alone else population.encode())
         return hashlib.sha256(b"\0".join(parts)).hexdigest()[:20]
 
