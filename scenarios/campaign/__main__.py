@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from runtime.population import load_population
-from scenarios.campaign.claims import claims
+from scenarios.campaign.claims import claims, hindsight
 from scenarios.campaign.design import Cell, cells
 from scenarios.campaign.plots import draw
 from scenarios.campaign.report import tables
@@ -69,7 +69,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
         seconds=round(seconds, 1),
         runs=campaign.flown,
         seeds=[],
-        claims=claims(campaign, ours, faithful),
+        claims=[claim for row in ours.split(",") for claim in claims(campaign, row.strip(), faithful)]
+        + (hindsight(campaign) if faithful else []),
         tables=tables(campaign),
         notes=[
             "Every row flies the same references, faults, noise and air. Figures are taken from the moment of the "
@@ -95,7 +96,7 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--population", default="citation", show_default=True, help="Folder of the cast, or its name.")
 @click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all]")
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
-@click.option("--ours", default="ensemble", show_default=True, help="The row that the claims are about.")
+@click.option("--ours", default="ensemble", show_default=True, help="Comma-separated rows that the claims are about.")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
 @click.option("--oracle-laws", "laws", default="",
               help="Comma-separated rows that the oracle may choose besides the members: pid, indi, ...")  # fmt: skip

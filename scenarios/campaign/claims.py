@@ -129,6 +129,16 @@ def serl50(campaign: Campaign, ours: str) -> list[Claim]:
     return found
 
 
+def hindsight(campaign: Campaign) -> list[Claim]:
+    """Return what no choice of one member can better: how far its best one is below no adaptation, easy suite."""
+    found = []
+    for sensors in TARGETED:
+        best = paired(still(campaign.pick(ORACLE, "easy"), sensors), campaign.pick(NONE, "easy"))
+        words = f"the best member in hindsight, easy, still air, sensors {sensors}: mean nMAE against no adaptation"
+        found.append(claim(words, best.of_means, "%"))
+    return [c for c in found if c.value is not None]
+
+
 def peers(campaign: Campaign, ours: str) -> list[Claim]:
     """Return by how much the best peer is better, in the fault of the easy suite where it is most."""
     flights = still(campaign.pick(ours, "easy"))
