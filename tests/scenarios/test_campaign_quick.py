@@ -59,7 +59,7 @@ def test_killed_and_started_again_it_gives_the_same_file(whole, tmp_path):
     journal = tmp_path / "journal.jsonl"
     with subprocess.Popen([*COMMAND, "--out", tmp_path], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as begun:
         until = time.monotonic() + 60.0
-        while not journal.exists() and time.monotonic() < until:
+        while not (journal.exists() and b"\n" in journal.read_bytes()) and time.monotonic() < until:
             time.sleep(0.02)
         os.kill(begun.pid, signal.SIGKILL)
     before = journal.read_bytes()
