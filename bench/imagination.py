@@ -121,7 +121,7 @@ def builder_of(revision: str) -> Callable[..., object]:
     try:
         exec(compile(shown.stdout, where, "exec"), module.__dict__)
     except ImportError as error:
-        raise UserError(f"--before {revision}: needs modules of its time: {error}; give 70988a9") from None
+        raise UserError(f"--before {revision}: needs modules of its time: {error}; give a younger one") from None
     return module.imagination
 
 

@@ -122,7 +122,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 
     stall_error: NotNegative = 300.0
     """Growth of the bias's drift with the angle of attack above 8 degrees, where the lift curve bends [1/rad]: by 5 a
-    degree. The rate model knows one bend there, the aircraft has many."""
+    degree. The rate model knows one bend there, the aircraft has many. Below -3 degrees too, but not soon after an
+    alarm."""
 
     effectiveness_sd: Positive = 0.05
     """Standard deviation of lambda about 1 at the start of a flight [-]."""
@@ -190,10 +191,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Rates that no surface may be found to exceed [rad/s]."""
 
     delay_memory: Fraction = 0.99
-    """Forgetting of the log-likelihoods of delays, crossed commands and the agile filter, each sample [-]."""
+    """Forgetting of the log-likelihoods of all hypotheses and of the agile filters, each sample [-]."""
 
     delay_lead: Positive = 36.0
-    """A delay, or crossed commands, are believed when they lead by so much for three samples [nats]. In quiet flight
+    """Delay, crossed commands or slow surfaces are believed when they lead by so much for three samples [nats]. In quiet flight
     every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by chance."""
 
     delay_lead_open: Positive = 11.0
@@ -309,10 +310,9 @@ PRESETS: dict[str, Adaptation] = {
 }
 """``ensemble`` is the recommended one for a cast bred for hard faults: the surfaces' signed effectiveness and the delay
 of the commands are found, laws and networks are one cast, and the model stays at the population's prior otherwise.
-``structured`` is the same with the networks alone. ``understudy`` is the
-mended recipe of chapter 8, for ideal sensors: with noisy ones raw increments tell nothing. ``thesis`` is chapter 8
-read literally: ten states, Theta = 0, t_play = t_h = 2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning
-of 50 % for negative returns are our reading."""
+``structured`` is the same with the networks alone. ``understudy`` is the mended recipe of chapter 8, for ideal sensors:
+with noisy ones raw increments tell nothing. ``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h
+= 2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning of 50 % for negative returns are our reading."""
 
 
 def _value(text: str) -> Any:

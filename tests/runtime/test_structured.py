@@ -276,6 +276,39 @@ def test_slow_surfaces_are_found_and_imagined_as_such(noise, rate):
     assert np.isinf(found.actuators[ACTUATOR.rate]).all()
 
 
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+def test_a_surface_that_does_nothing_is_imagined_to_do_nothing(noise):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.effect = np.array([1.0, 0.0, 1.0])
+    watch(found, aircraft, 300)
+    assert found.effectiveness[1] != 0.0
+    assert found.believed[1] == 0.0
+    assert found.believed[0] == pytest.approx(1.0, abs=0.2)
+
+
+def test_negative_angles_of_attack_are_doubted_unless_something_has_just_changed():
+    drifts = []
+    for alpha in (0.05, -0.12):
+        aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+        read = aircraft.read
+
+        def seen(read=read, alpha=alpha):
+            x = read()
+            x[STATE.alpha] += alpha - 0.05
+            return x
+
+        aircraft.read = seen
+        watch(found, aircraft, 500)
+        calm = found.filter.q[0, 6:9].copy()
+        aircraft.effect = np.array([-1.0, -1.0, 1.0])
+        assert watch(found, aircraft, 20)
+        drifts.append((calm, found.filter.q[0, 6:9] / found.unrest.levels))
+    (calm, after), (calm_low, after_low) = drifts
+    assert (calm_low > 100.0 * calm).all()
+    assert (after_low < 10.0 * after).all()
+
+
 @pytest.mark.parametrize("effect", [(1.0, 1.0, 1.0), (1.0, -1.0, -1.0)])
 def test_crossed_aileron_and_rudder_are_found_and_imagined(effect):
     aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
