@@ -194,8 +194,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Forgetting of the log-likelihoods of all hypotheses and of the agile filters, each sample [-]."""
 
     delay_lead: Positive = 36.0
-    """Delay, crossed commands or slow surfaces are believed when they lead by so much for three samples [nats]. In quiet
-    flight every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by
+    """Delay, crossed commands or slow surfaces are believed when they lead by so much for three samples [nats].
+    In quiet flight every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by
     chance."""
 
     delay_lead_open: Positive = 11.0
