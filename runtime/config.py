@@ -195,8 +195,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 
     delay_lead: Positive = 36.0
     """Delay, crossed commands or slow surfaces are believed when they lead by so much for three samples [nats].
-    In quiet flight every hypothesis has time to find a lambda to suit it, and innovations that are not white favour one by
-    chance."""
+    In quiet flight every hypothesis has time to find a lambda to suit it, and innovations that are not white
+    favour one by chance."""
 
     delay_lead_open: Positive = 11.0
     """The same while the filters are open [nats]: all hypotheses start alike."""
