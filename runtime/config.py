@@ -81,6 +81,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     and -1]. Where all fly closely a share of next to nothing is chance; and who was good so far is trusted beyond what
     is imagined, until more than this is at stake."""
 
+    head_start_short: NotNegative = 0.0
+    """The same while a surface is believed to stop short of its commands or to do next to nothing [-]: what such an
+    aircraft does is imagined better than what one with late or slow surfaces does."""
+
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
 
@@ -190,6 +194,9 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     rate_limits: tuple[Positive, ...] = (0.14, 0.087, 0.052)
     """Rates that no surface may be found to exceed [rad/s]."""
 
+    ranges: bool = True
+    """Whether a surface may be found to have lost some of its range."""
+
     delay_memory: Fraction = 0.99
     """Forgetting of the log-likelihoods of all hypotheses and of the agile filters, each sample [-]."""
 
@@ -294,7 +301,12 @@ class Configuration(Settings, frozen=True, kw_only=True):
 PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
     "structured": Adaptation(
-        effectiveness="structured", identify=False, head_start=1.0, forecast_time=0.5, confirmations=2
+        effectiveness="structured",
+        identify=False,
+        head_start=1.0,
+        head_start_short=1.0,
+        forecast_time=0.5,
+        confirmations=2,
     ),
     "ensemble": Adaptation(
         effectiveness="structured",
@@ -302,6 +314,7 @@ PRESETS: dict[str, Adaptation] = {
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
         head_start=15.0,
+        head_start_short=2.0,
         forecast_time=0.2,
         confirmations=2,
     ),

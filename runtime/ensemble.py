@@ -51,7 +51,8 @@ class Ensemble:
         found = self._model.effectiveness
         for law, action in zip(self._laws, self._actions, strict=True):
             if found is not None:  # what is believed to become of the commands
-                law.match(*found.hypotheses[found.evidence.believed])
+                believed = found.hypotheses[found.evidence.believed]
+                law.match(believed.delay, believed.order, believed.rate)
             np.copyto(action, law.steer(x, reference))
         law_number = self._cast.law
         wanted = self._network.steer(x, reference) if law_number is None else self._actions[law_number]

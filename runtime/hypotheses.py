@@ -29,14 +29,22 @@ class Hypothesis(NamedTuple):
     """Whose command acts as elevator, aileron, rudder."""
     rate: float = math.inf
     """How fast every surface moves at most [rad/s]."""
+    limited: int | None = None
+    """The surface whose range is to be found (:mod:`runtime.ranges`)."""
 
 
-def hypotheses(delays: tuple[float, ...], crossed: bool, rates: tuple[float, ...], dt: float) -> tuple[Hypothesis, ...]:
-    """Return the healthy one first, then each delay [s], crossed aileron and rudder, and each rate limit [rad/s]."""
+def hypotheses(
+    delays: tuple[float, ...], crossed: bool, rates: tuple[float, ...], ranges: bool, dt: float
+) -> tuple[Hypothesis, ...]:
+    """Return the healthy one first, then each delay [s], crossed aileron and rudder, each rate limit [rad/s], ranges.
+
+    ``ranges``: whether one of a limited range follows for each of elevator, aileron and rudder.
+    """
     late = sorted({round(delay / dt) for delay in delays} - {0})
     straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
     slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(rates), reverse=True))
-    return straight + (Hypothesis(0, CROSSED),) * crossed + slow
+    limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * ranges
+    return straight + (Hypothesis(0, CROSSED),) * crossed + slow + limited
 
 
 def actuators(choice: Hypothesis) -> np.ndarray:
@@ -59,8 +67,9 @@ class Inputs:
             [(length - self._least - choice.delay) * N_ACTION + of for of in choice.order] for choice in choices
         ])  # fmt: skip
         self._slow = next((i for i, choice in enumerate(choices) if choice.rate < math.inf), len(choices))
-        """Row of the first hypothesis of slow surfaces; they come last."""
-        limits = [actuators(choice) for choice in choices[self._slow :]]
+        """Row of the first hypothesis of slow surfaces."""
+        limits = [actuators(choice) for choice in choices if choice.rate < math.inf]
+        self._slow_rows = slice(self._slow, self._slow + len(limits))
         self._actuators = np.array(limits).reshape(-1, len(ACTUATOR), N_ACTION).swapaxes(0, 1)
         self._dt = dt
         self._followed = np.zeros((self._least + 1, len(limits), N_ACTION))
@@ -87,7 +96,7 @@ class Inputs:
         else:
             np.copyto(self._older, self._newer)
             self._commands[-1] = action
-            if self._slow < len(self.u):
+            if len(self._actuators[0]):
                 np.copyto(self._older_followed, self._newer_followed)
                 self._followed[-1] = limited(action, self._followed[-2], self._actuators, self._dt)
         self._sent += 1
@@ -95,14 +104,15 @@ class Inputs:
     def followed(self, hypothesis: int) -> np.ndarray:
         """Return what becomes of the last ``command_lag`` + 1 commands, without their delay: oldest first (L, 3)."""
         slow = hypothesis - self._slow
-        return self._commands[-self._least :] if slow < 0 else self._followed[1:, slow]
+        if 0 <= slow < self._followed.shape[1]:
+            return self._followed[1:, slow]
+        return self._commands[-self._least :]
 
     def take(self) -> np.ndarray:
         """Return ``u``, brought up to date."""
         np.copyto(self.before, self.u)
         np.take(self._flat, self._where, out=self.u, mode="clip")
-        if self._slow < len(self.u):
-            self.u[self._slow :] = self._followed[1]
+        self.u[self._slow_rows] = self._followed[1]
         return self.u
 
 

@@ -232,6 +232,10 @@ class IncrementalModel:
         np.copyto(self._dx, self._moved_dx)
         return learnt
 
+    def mended(self, x: np.ndarray) -> np.ndarray:
+        """Return the state x of this sample with what is known instead of what stuck sensors say."""
+        return x if self.effectiveness is None else self.effectiveness.mended(x)
+
     def command(self, action: np.ndarray) -> None:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
         for older, newer in zip(self._slots, self._slots[1:], strict=False):

@@ -86,6 +86,7 @@ class Plays:
         self._switched_at = -np.inf
         self._forecast = Forecast(settings.forecast_time)
         self._belief: tuple[np.ndarray, int] | None = None
+        self._short = False
         self._candidate, self._votes = -1, 0
 
     def step(self, tick: int, t: float) -> Played | None:
@@ -105,7 +106,8 @@ class Plays:
             else:
                 self._imagination.request(self._snapshot(t), tick)
                 self._asked_at = tick
-                self._belief = belief(self._model.effectiveness)
+                found = self._model.effectiveness
+                self._belief, self._short = belief(found), found is not None and found.short
                 self.asked += 1
             watching = tick < self._watch_until
             self._next = tick + self._watch_period if watching else (tick // self._period + 1) * self._period
@@ -141,7 +143,11 @@ class Plays:
         overtaken = asked <= self._alarm_at
         returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
-        decision = decide(returns, self._cast.flying, age, self._settings, since_switch, overtaken, self._cast.first)
+        settings = self._settings
+        head_start = settings.head_start_short if self._short else settings.head_start
+        decision = decide(
+            returns, self._cast.flying, age, settings, since_switch, overtaken, self._cast.first, head_start
+        )
         decision = self._careful(decision, tick)
         if decision.action is not Action.KEEP:
             self._switched_at = tick

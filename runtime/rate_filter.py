@@ -25,7 +25,7 @@ ALPHA_MID = 0.05
 
 
 class RateFilters:
-    """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt A phi, w measured with independent noise.
+    """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt (A phi + B known), w measured with independent noise.
 
     ``s`` (M, 11) and ``P`` (M, 11, 11) are changed in place. After :meth:`update`, lists of M have for each filter:
     ``surprise`` the squared innovations of p, q, r over their own variances, ``nis`` the normalised innovation squared
@@ -45,6 +45,8 @@ class RateFilters:
         self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
         self.drift_step = np.zeros(RATES)
         """dt A phi of the last prediction (3,) [rad/s]."""
+        self.known_step = np.zeros((size, RATES))
+        """dt B of the deflections that a filter knows (M, 3) [rad/s]."""
         self.F_rates = np.zeros((size, RATES, N))
         """The rows of F that are not the identity's: those of the rates (M, 3, 11)."""
         self.F_rates[:, :, W] = np.eye(RATES)
@@ -59,7 +61,7 @@ class RateFilters:
         # Products of arrays that always lie at the same place: elsewhere the last bit may differ.
         self._phi, self._terms = np.zeros(model.drift.shape[0]), np.zeros(N_EFFECT)
         self._effects = np.zeros((RATES, N_ACTION))
-        self._effects_flat = self._effects.reshape(-1)
+        self._effects_flat, self._effects_transposed = self._effects.reshape(-1), self._effects.T
         self._rows, self._columns = np.zeros((size, RATES, N)), np.zeros((size, N, RATES))
         self._stepped = np.zeros((size, RATES, 1))
         self._product = np.zeros((size, N, N))
@@ -72,11 +74,12 @@ class RateFilters:
         self._inverse = np.zeros((size, RATES, RATES))
         self._inverse_flat = self._inverse.reshape(size, RATES * RATES)
 
-    def linearise(self, x: list[float], washed: float, u: np.ndarray) -> None:
-        """Set F and the drift's step.
+    def linearise(self, x: list[float], washed: float, u: np.ndarray, known: np.ndarray | None = None) -> None:
+        """Set F and what steps without the state.
 
         x: the first ten states, of which p, q, r may be filtered; washed: the high-passed yaw rate [rad/s]; u (M, 3):
-        the deflections that act on x [rad], as each filter takes them to be.
+        the deflections that act on x [rad], as each filter takes them to be, and whose effectiveness it learns; known
+        (M, 3): those that act besides, fully [rad].
         """
         p, q, r, V, alpha, beta, _, _, _, h = x
         qbar = dynamic_pressure(V, h)
@@ -87,11 +90,14 @@ class RateFilters:
         np.multiply(self._effects, u[:, None, :], out=self._F_effect)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
+        if known is not None:
+            np.matmul(known, self._effects_transposed, out=self.known_step)
 
     def predict(self) -> None:
         """Take s and P one sample on, with F and the drift as linearised."""
         np.matmul(self.F_rates, self._s_column, out=self._stepped)
         np.add(self._stepped[:, :, 0], self.drift_step, out=self._w)
+        np.add(self._w, self.known_step, out=self._w)
         np.matmul(self.F_rates, self.P, out=self._rows)
         np.copyto(self._P_rows, self._rows)
         np.matmul(self.P, self._F_transposed, out=self._columns)

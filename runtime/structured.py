@@ -13,10 +13,12 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
+from runtime.ranges import Ranges
 from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
 from runtime.shift import Shift
 from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
+from task.actuators import ACTUATOR
 from task.limits import DT
 from task.model import with_effectiveness
 from task.rates import KNEE, RATES, RateModel, washout
@@ -46,18 +48,27 @@ class Effectiveness:
     """So long after the filters have closed nothing has changed lately [s]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
+    STEADY = 0.1
+    """Of the doubt about the bias when the filters open, where only a range is looked for."""
+    LONG_AGO = 1.0
+    """Filters that look for a range start from what was known so long before the alarm [s]: a surface that does not
+    come back from its limit is soon taken for one that does little."""
     BEYOND = 1e9
     """Largest normalised innovation; what is more, or no number, counts as this."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
-        self.hypotheses = hypotheses(settings.delays, settings.crossed, settings.rate_limits, dt)
+        self.hypotheses = hypotheses(settings.delays, settings.crossed, settings.rate_limits, settings.ranges, dt)
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
         """Row of the first agile filter."""
+        self._limited = self._agile - N_ACTION * settings.ranges
+        """Row of the first filter that looks for a range."""
         self.filter = RateFilters(model, self._agile + N_ACTION, dt)
         self._inputs = Inputs(self.hypotheses, command_lag, dt)
-        self._u = np.zeros((self._agile + N_ACTION, N_ACTION))
+        self._u, self._known = np.zeros((2, self._agile + N_ACTION, N_ACTION))
+        """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
+        self.ranges = Ranges(self.filter, self._limited) if settings.ranges else None
         self._dt = dt
         self._open_at = max(round(settings.open_after / dt), 1)
         self._close_at = self._open_at + max(round(settings.open_time / dt), 1)
@@ -66,8 +77,10 @@ class Effectiveness:
         self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
         self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
         self._least_q_bias = np.square(settings.q_bias).tolist()
-        self._recent = np.zeros((max(round(settings.recall / dt), 1), N))
-        self._recalled, self._believed_before = np.zeros(N), np.ones(N_ACTION)
+        self._back_by = max(round(settings.recall / dt), 1)
+        self._recent = np.zeros((max(round(self.LONG_AGO / dt), self._back_by), N))
+        """The believed filter's states of the last samples, in a ring."""
+        self._recalled, self._long_ago, self._believed_before = np.zeros(N), np.zeros(N), np.ones(N_ACTION)
         self.shift = Shift(settings.q_bias, settings.shift_time, dt)
         self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
@@ -82,6 +95,8 @@ class Effectiveness:
     def _process(self, rate: float, effectiveness: float) -> np.ndarray:
         q = np.zeros((self._agile + N_ACTION, N))
         q[:, W], q[:, LAMBDA] = rate**2, effectiveness**2
+        # A range changes at once or not at all, and nothing else with it.
+        q[self._limited : self._agile, LAMBDA] = self.settings.q_effectiveness**2
         agile = q[self._agile :, LAMBDA]
         np.fill_diagonal(agile, max(effectiveness, self.settings.q_effectiveness_agile) ** 2)
         return q
@@ -118,6 +133,8 @@ class Effectiveness:
         self.filter.s[:] = 0.0
         self.filter.s[:, LAMBDA] = 1.0
         self._spread(effectiveness_sd)
+        if self.ranges:
+            self.ranges.reset()
 
     def _spread(self, effectiveness_sd: float, slopes: tuple[float, float] = (0.0, 0.0)) -> None:
         """Forget correlations and set the variances of open filters."""
@@ -130,12 +147,20 @@ class Effectiveness:
     @property
     def effectiveness(self) -> np.ndarray:
         """Return lambda (3,): signed effectiveness of elevator, aileron, rudder, as the believed filter has it."""
-        return self.filter.s[self.evidence.believed, LAMBDA]
+        found = self.filter.s[self.evidence.believed, LAMBDA]
+        surface = self.limited
+        if surface is not None and self.ranges:
+            found = found.copy()
+            found[surface] = self.ranges.of[surface].effectiveness
+        return found
 
     @property
     def sd(self) -> np.ndarray:
         """Return the standard deviations of lambda (3,)."""
-        return np.sqrt(self.filter.variances[self.evidence.believed, LAMBDA])
+        sd = np.sqrt(self.filter.variances[self.evidence.believed, LAMBDA])
+        if self.limited is not None:
+            sd[self.limited] = self.settings.effectiveness_sd
+        return sd
 
     @property
     def bias(self) -> np.ndarray:
@@ -158,6 +183,16 @@ class Effectiveness:
         return self.hypotheses[self.evidence.believed].delay
 
     @property
+    def limited(self) -> int | None:
+        """Return the surface that is believed to have lost some of its range, or None."""
+        return self.hypotheses[self.evidence.believed].limited
+
+    @property
+    def short(self) -> bool:
+        """Return whether a surface is believed to stop short of its commands, or to do next to nothing."""
+        return self.limited is not None or bool((np.abs(self.believed) < Ranges.WORKS).any())
+
+    @property
     def mixing(self) -> np.ndarray:
         """Return the effect (3, 3) of each command (column) as elevator, aileron and rudder (row), as imagined."""
         limit = self.settings.effectiveness_limit
@@ -169,7 +204,10 @@ class Effectiveness:
     @property
     def actuators(self) -> np.ndarray:
         """Return what is believed of range and rate of the surfaces (3, 3), as in :mod:`task.actuators`."""
-        return actuators(self.hypotheses[self.evidence.believed])
+        found, surface = actuators(self.hypotheses[self.evidence.believed]), self.limited
+        if surface is not None and self.ranges:
+            found[[ACTUATOR.low, ACTUATOR.high], surface] = self.ranges.of[surface].ends
+        return found
 
     @property
     def known(self) -> bool:
@@ -191,6 +229,8 @@ class Effectiveness:
             if self.stuck.any:
                 w = self._unstick(state)
             if f.update(w):
+                if self.ranges:
+                    self.ranges.learn(self._inputs.u[0].tolist())
                 self._weigh()
                 self._judge(w)
                 self._believe()
@@ -219,7 +259,11 @@ class Effectiveness:
 
         Their delay is left out: it is what waits.
         """
-        return self._inputs.followed(self.evidence.believed)
+        commands, surface = self._inputs.followed(self.evidence.believed), self.limited
+        if surface is not None and self.ranges:
+            commands = commands.copy()
+            commands[:, surface] = commands[:, surface].clip(*self.ranges.of[surface].ends)
+        return commands
 
     def moved(self, out: np.ndarray) -> None:
         """Set the increment (3,) [rad] of healthy deflection that would have moved the last increment of the state."""
@@ -238,13 +282,30 @@ class Effectiveness:
         if self.known:
             x[W], dx[W] = self.rates, self.increment
 
+    def mended(self, x: np.ndarray) -> np.ndarray:
+        """Return the state (>= 10,) with the filter's rates in place of those that are stuck."""
+        if not self.stuck.any or not self.known:
+            return x
+        x = x.copy()
+        for axis, stuck in enumerate(self.stuck.signals[:RATES]):
+            if stuck:
+                x[axis] = self.rates[axis]
+        return x
+
     def _predict(self) -> None:
         """Take the filters from the last sample to this one."""
         f, levels, x = self.filter, self.unrest.levels, self._x
         r = x[STATE.r]
-        self._u[: self._agile] = self._inputs.take()
-        self._u[self._agile :] = self._u[self.evidence.believed]
-        f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u)
+        self._u[: self._agile] = u = self._inputs.take()
+        believed = self.evidence.believed
+        if self.ranges:
+            rows = slice(self._limited, self._agile)
+            followers = range(self._agile, len(self._u))
+            self.ranges.deflect(u[0].tolist(), self._u[rows], self._known[rows], self.limited, followers)
+            for surface, acting in enumerate(self.ranges.acting):
+                u[self._limited + surface, surface] = acting
+        self._u[self._agile :], self._known[self._agile :] = self._u[believed], self._known[believed]
+        f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u, self._known)
         self._low_passed = washout(self._low_passed, r, self._dt)
         f.q[:] = self._q
         drift = f.drift_step.tolist()
@@ -268,6 +329,7 @@ class Effectiveness:
         np.dot(f.F_rates[believed], f.s[believed], out=self.increment)
         np.subtract(self.increment, self.rates, out=self.increment)
         np.add(self.increment, f.drift_step, out=self.increment)
+        np.add(self.increment, f.known_step[believed], out=self.increment)
 
     def _weigh(self) -> None:
         """Weigh the hypotheses, and whether lambda moves."""
@@ -288,11 +350,20 @@ class Effectiveness:
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._since < self._open_at:
             self.agile_lead = [0.0] * N_ACTION
-        elif evidence.weigh(f.log_likelihood[:agile], self._since < self._close_at):
+        elif evidence.weigh(self._told(), self._since < self._close_at):
             self.alarmed = True
             self.agile_lead = [0.0] * N_ACTION
             np.copyto(self.believed, self.effectiveness)
             f.s[agile:], f.P[agile:] = f.s[evidence.believed], f.P[evidence.believed]
+
+    def _told(self) -> list[float]:
+        """Return the log-likelihood of each hypothesis; a range without an end says what the first one says."""
+        told = self.filter.log_likelihood[: self._agile]
+        if self.ranges:
+            for i, each in enumerate(self.ranges.of, self._limited):
+                if not each.limited:
+                    told[i] = told[0]
+        return told
 
     def _believe(self) -> None:
         """Move what is believed of lambda as far as the estimate asks for."""
@@ -301,6 +372,9 @@ class Effectiveness:
             zip(f.s[i, LAMBDA].tolist(), f.variances[i, LAMBDA].tolist(), strict=True)
         ):
             if self.stuck.any and self.stuck.blind[AXIS[surface]]:
+                continue
+            if self.ranges and surface == self.limited:
+                self.believed[surface] = self.ranges.of[surface].effectiveness
                 continue
             margin = self.settings.belief_sd * math.sqrt(max(variance, 0.0))
             moved = min(max(self.believed[surface], found - margin), found + margin)
@@ -319,10 +393,14 @@ class Effectiveness:
             for surface, axis in enumerate(AXIS):
                 if self.stuck.blind[axis]:
                     f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
+            if self.ranges:
+                self._look_for_ranges(self.ranges)
             self._q = self._q_open
             self.evidence.forget()
         elif self._since == self._close_at:
             self._q = self._q_quiet
+            if self.ranges:
+                self.ranges.close()
         if self.unrest.seen == self.unrest.LEARNING:  # what was taken for a change was noise not yet known
             self._start_anew(settings.effectiveness_sd)
             f.s[:, W] = w
@@ -333,7 +411,7 @@ class Effectiveness:
         colour = 1.0 + settings.alarm_colour * math.log(max(self.unrest.levels))
         moved = any(lead > colour * need for lead, need in zip(self.agile_lead, settings.agile_lead, strict=True))
         self._led = self._led + 1 if moved else 0
-        oldest = self._recent[self._states % len(self._recent)]
+        now = self._states % len(self._recent)
         surprised = sum(self._nis) > settings.alarm_threshold * colour
         if not self.unrest.known or self._since <= self._hold:
             pass
@@ -342,9 +420,23 @@ class Effectiveness:
             self.alarms += 1
             self.agile_lead = [0.0] * N_ACTION
             self._since = 0
-            np.copyto(self._recalled, oldest)
+            np.copyto(self._recalled, self._recent[now - self._back_by])
+            np.copyto(self._long_ago, self._recent[now])
             np.copyto(self._believed_before, self.believed)
-        np.copyto(oldest, f.s[self.evidence.believed])
+        np.copyto(self._recent[now], f.s[self.evidence.believed])
+        self._recent[now, LAMBDA] = self.effectiveness
+
+    def _look_for_ranges(self, ranges: Ranges) -> None:
+        """Open the filters that look for a range: nothing but it has changed."""
+        f, sd = self.filter, self.settings.effectiveness_sd
+        rows = slice(self._limited, self._agile)
+        f.s[rows, RATES:] = self._long_ago[RATES:]
+        f.variances[rows, LAMBDA], f.variances[rows, SLOPES] = sd**2, 0.0
+        works = self._long_ago[LAMBDA].tolist()
+        for surface, each in enumerate(works):
+            if abs(each) >= Ranges.WORKS:
+                f.variances[self._limited + surface, B] *= self.STEADY**2
+        ranges.open(self._inputs.u[0].tolist(), works, self.limited)
 
     def _unstick(self, x: list[float]) -> list[float]:
         """Return the rates (3,) [rad/s] with the attitude's in place of those that are stuck."""
@@ -365,7 +457,9 @@ class Effectiveness:
                 self._q = self._q_quiet
             self._since = self._close_at
         else:
-            f.s[:] = self._recent[self._states % len(self._recent)]
+            f.s[:] = self._recent[self._states % len(self._recent) - self._back_by]
         f.s[:, W] = now
+        if self.ranges:
+            self.ranges.restore()
         self._nis = [0.0] * self.WINDOW
         self.evidence.forget()

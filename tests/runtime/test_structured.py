@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from msgspec.structs import replace
 
 from runtime.config import PRESETS, Adaptation, resolve
 from runtime.hypotheses import CROSSED, STRAIGHT, Evidence, Inputs, hypotheses
@@ -11,7 +12,7 @@ from runtime.rate_filter import ALPHA_MID, SLOPES, N, RateFilters
 from runtime.structured import Effectiveness
 from runtime.stuck import Stuck
 from runtime.switching import opposed
-from task.actuators import ACTUATOR
+from task.actuators import ACTUATOR, HEALTHY
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT, DT
 from task.model import N_REGRESSORS
@@ -41,6 +42,7 @@ class Aircraft:
         self.tick, self.delay, self.order = 0, 0, [0, 1, 2]
         self.attitude, self.stuck = np.zeros(3), {}
         self.rate, self.acting = np.inf, np.zeros(3)
+        self.low, self.high = np.full(3, -np.inf), np.full(3, np.inf)
 
     def read(self):
         x = state(
@@ -55,7 +57,8 @@ class Aircraft:
     def step(self, u):
         """One sample: the command of before acts now (command lag 1), or an older one."""
         asked = self.sent[max(-1 - self.delay, -len(self.sent))][self.order]
-        acting = self.acting = asked.clip(self.acting - self.rate * DT, self.acting + self.rate * DT)
+        reach = self.rate * DT
+        acting = self.acting = asked.clip(self.low, self.high).clip(self.acting - reach, self.acting + reach)
         qbar = dynamic_pressure(90.0, 2000.0)
         phi = np.array(features(*self.w, 90.0, 0.05, 0.0, 0.0, qbar))
         terms = np.array(effect_terms(90.0, 0.05, qbar))
@@ -160,7 +163,7 @@ def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sa
 
 
 def test_inputs_are_the_commands_of_each_hypothesis():
-    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), DT)
+    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), False, DT)
     healthy = [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
     assert [(c.delay, c.order) for c in choices] == [*healthy, (0, STRAIGHT), (0, STRAIGHT)]
     assert [c.rate for c in choices] == [np.inf] * 4 + [50.0, 25.0]
@@ -174,7 +177,7 @@ def test_inputs_are_the_commands_of_each_hypothesis():
 
 
 def test_slow_surfaces_follow_their_commands_and_stop_at_the_range_of_the_task():
-    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), DT), command_lag=1, dt=DT), DT
+    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), False, DT), command_lag=1, dt=DT), DT
     for asked in (0.0, 0.1, 0.1, 0.1, 0.1, -0.5):
         inputs.send(np.full(3, asked))
     fast, slow = inputs.followed(1), inputs.followed(2)
@@ -277,13 +280,77 @@ def test_slow_surfaces_are_found_and_imagined_as_such(noise, rate):
 
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("surface", [0, 1, 2])
+def test_a_surface_that_stops_short_is_found_with_both_ends_of_its_range(noise, surface):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    trim = (-0.02, 0.0, 0.0)[surface]
+    watch(found, aircraft, 500)
+    ends = trim - 0.012, trim + 0.015
+    aircraft.low[surface], aircraft.high[surface] = ends
+    gentle = aircraft.command
+    aircraft.command = lambda: 2.5 * gentle()
+    alarms = watch(found, aircraft, 400)
+    assert found.limited == surface
+    assert len(alarms) == 2  # the surprise, and what is believed then
+    np.testing.assert_allclose(found.actuators[:2, surface], ends, atol=0.001)
+    others = [i for i in range(3) if i != surface]
+    np.testing.assert_array_equal(found.actuators[:2, others], HEALTHY[:2, others])
+    np.testing.assert_allclose(found.mixing, np.eye(3), atol=0.1)
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.1)
+    # What acts is known, and nothing surprises any more.
+    assert watch(found, aircraft, 300) == []
+    command = 0.1 * np.ones(3)
+    found.command(command)
+    expected = command.copy()
+    expected[surface] = found.actuators[1, surface]
+    np.testing.assert_allclose(found.followed()[-1], expected)
+    # Whole again: it is seen to follow.
+    aircraft.low[surface], aircraft.high[surface] = -np.inf, np.inf
+    assert watch(found, aircraft, 400)
+    low, high = found.actuators[:2, surface]
+    assert found.limited is None or (low < trim - 0.03 and high > trim + 0.03)
+
+
+def test_a_jammed_surface_has_both_ends_at_one_place_or_is_dead():
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.low[1] = aircraft.high[1] = 0.01
+    watch(found, aircraft, 500)
+    low, high = found.actuators[:2, 1]
+    assert abs(found.believed[1]) < 0.15 or (found.limited == 1 and high - low < 0.01)
+
+
+@pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -0.3, 1.0), (0.3, 1.0, 1.0), (-1.0, -1.0, 1.0)])
+def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_stops_short(effect):
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.effect = np.array(effect)
+    watch(found, aircraft, 100)
+    assert found.limited is None
+    np.testing.assert_allclose(found.believed, effect, atol=0.3)
+
+
+def test_ranges_are_looked_for_on_request_only():
+    names = [h.limited for h in hypotheses((0.05,), True, (0.1,), True, DT)]
+    assert names == [None] * 4 + [0, 1, 2]
+    assert all(h.limited is None for h in hypotheses((0.05,), True, (0.1,), False, DT))
+    found = Effectiveness(replace(SETTINGS, ranges=False), MODEL, 1)
+    assert found.ranges is None
+    aircraft = Aircraft()
+    watch(found, aircraft, 300)
+    aircraft.low[0], aircraft.high[0] = -0.03, -0.01
+    assert watch(found, aircraft, 200)
+    np.testing.assert_array_equal(found.actuators[:2], HEALTHY[:2])
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
 def test_a_surface_that_does_nothing_is_imagined_to_do_nothing(noise):
     aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
     watch(found, aircraft, 500)
     aircraft.effect = np.array([1.0, 0.0, 1.0])
     watch(found, aircraft, 300)
-    assert found.effectiveness[1] != 0.0
-    assert found.believed[1] == 0.0
+    stuck = found.limited == 1 and np.abs(found.actuators[:2, 1]).max() < 0.003  # both ends at zero
+    assert stuck or (found.believed[1] == 0.0 and found.effectiveness[1] != 0.0)
     assert found.believed[0] == pytest.approx(1.0, abs=0.2)
 
 
@@ -351,9 +418,14 @@ def test_a_stuck_gyro_is_no_dead_surface_and_the_attitude_tells_the_rate_instead
     assert [i for i, stuck in enumerate(found.stuck.signals) if stuck] == [signal]
     np.testing.assert_allclose(found.believed, 1.0, atol=0.15)
     np.testing.assert_allclose(found.rates, aircraft.w, atol=0.02)
+    x = aircraft.read()
+    mended = found.mended(x)
+    assert mended[signal] == found.rates[signal]
+    assert (np.delete(mended, signal) == np.delete(x, signal)).all()
     aircraft.stuck = {}
     watch(found, aircraft, 100)
     assert not found.stuck.any
+    assert found.mended(x) is x
     aircraft.effect = np.array([-1.0, -1.0, 1.0])
     watch(found, aircraft, 100)
     np.testing.assert_allclose(found.effectiveness[:2], -1.0, atol=0.2)
