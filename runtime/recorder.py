@@ -148,6 +148,7 @@ class Recorder:
             [
                 *(("float", f"{kind}_{surface.name}") for kind in ("lambda", "sd") for surface in ACTION),
                 *(("float", f"bias_{rate}") for rate in "pqr"),
+                *(("float", f"{end}_{surface.name}") for end in ("low", "high") for surface in ACTION),
                 ("float", "noise"),
                 ("float", "unrest"),
                 ("float", "surprise"),
@@ -205,8 +206,9 @@ class Recorder:
     def effectiveness(self, time_usec: int, found: Effectiveness) -> None:
         """Record what is known of the surfaces."""
         if self._effectiveness is not None:
+            low, high, _ = found.actuators.tolist()
             self._log.write(
-                self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias,
+                self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias, *low, *high,
                 found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
                 found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask,
             )  # fmt: skip

@@ -25,7 +25,7 @@ from task.metrics import nmae
 from task.observation import tracking_error
 from task.reference import base_reference, random_reference
 from task.reward import REWARD_SCALE, terminated
-from task.state import N_IDENTIFIED, REFERENCE
+from task.state import N_IDENTIFIED, REFERENCE, STATE
 
 ROWS = base_reference(40.0, 0.056)
 CITATION = Path(__file__).parents[2] / "populations" / "citation"
@@ -247,3 +247,57 @@ def test_a_law_s_imagined_return_is_near_what_it_then_earns(citation, plant_link
     imagined = play[f"returns[{len(citation.members)}]"][: len(asked)]
     assert len(asked) > 8
     assert np.abs(imagined - earned).mean() < 0.1 * np.abs(earned).mean()
+
+
+AGGRESSIVE = random_reference(np.random.default_rng(3), 25.0, ROWS[0, REFERENCE.theta], "aggressive")
+
+
+def topic(log, name):
+    return {t.name: t.data for t in ULog(str(log)).data_list}[name]
+
+
+def fly_rows(link, citation, log, *overrides):
+    with Session(link, citation, RecordedReference(AGGRESSIVE), resolve("ensemble", None, overrides), log) as session:
+        return session.fly()[0]
+
+
+def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(citation, plant_link, tmp_path):
+    ends = np.radians([-2.0, 2.0])
+
+    def stop(tick, action):
+        return np.array([np.clip(action[0], *ends), *action[1:]]) if tick >= 500 else action
+
+    link, log = plant_link(2400, stop), tmp_path / "f.ulg"
+    assert fly_rows(link, citation, log).outcome is Outcome.OVER
+    found = topic(log, "effectiveness")
+    ranges = len(resolve("ensemble").adaptation.delays) + 2 + len(resolve("ensemble").adaptation.rate_limits)
+    assert found["hypothesis"][-1] == ranges
+    assert (found["delay"][500:] == 0).all()
+    plain, other = plant_link(2400, stop), tmp_path / "g.ulg"
+    assert fly_rows(plain, citation, other, "ranges=false").outcome is Outcome.OVER
+
+    def error(states):
+        return nmae(tracking_error(np.array(states.x[500:2400]), AGGRESSIVE[500:2400]))
+
+    assert error(link) <= error(plain)
+    assert found["alarms"][-1] < topic(other, "effectiveness")["alarms"][-1]
+
+
+def test_who_flies_reads_filtered_rates_where_a_gyro_is_stuck(citation, plant_link, tmp_path):
+    def error(stuck, *overrides):
+        held = []
+
+        def read(tick, x):
+            if stuck and tick >= 500:
+                held.append(x[STATE.p])
+                x[STATE.p] = held[0]
+            return x
+
+        link = plant_link(2400, state=read)
+        assert fly_rows(link, citation, tmp_path / "f.ulg", *overrides).outcome is Outcome.OVER
+        return nmae(tracking_error(np.array(link.x[500:2400]), AGGRESSIVE[500:2400]))
+
+    healthy = error(False)
+    assert error(True) < 1.2 * healthy
+    # Without the filter it reads what the gyro says.
+    assert error(True, "effectiveness=none") > 1.5 * healthy

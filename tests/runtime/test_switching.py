@@ -91,10 +91,10 @@ def test_a_blend_is_turned_in_mid_flight_from_where_it_is():
 
 
 def test_who_flies_first_has_a_head_start_and_is_returned_to():
-    start = Adaptation(margin=0.1, head_start=8.0)
+    start = Adaptation(margin=0.1)
 
     def decided(returns, flying):
-        return decide(np.array(returns), flying, 0.1, start, first=0)
+        return decide(np.array(returns), flying, 0.1, start, first=0, head_start=8.0)
 
     # the first member is left only when more than the head start is at stake
     assert decided([-10.0, -3.0, -10.0], 0).action is Action.KEEP
@@ -104,4 +104,4 @@ def test_who_flies_first_has_a_head_start_and_is_returned_to():
     assert (back.action, back.member) == (Action.SOFT, 0)
     assert decided([-20.0, -6.0, -6.0], 1).action is Action.KEEP
     # others have none
-    assert decide(np.array([-10.0, -6.0, -6.0]), 1, 0.1, start).action is Action.KEEP
+    assert decide(np.array([-10.0, -6.0, -6.0]), 1, 0.1, start, head_start=8.0).action is Action.KEEP
