@@ -79,11 +79,14 @@ def hard(campaign: Campaign, ours: str) -> list[Claim]:
         if not math.isnan(ahead) and not ahead <= best:
             best, who = ahead, peer
     found.append(claim(f"{ours}, hard, all: survival less the best peer's ({who})", 0.0 - best, "points", ">=", 0.0))
-    times = campaign.casting(still(by_group(campaign, ours, "hard", ("reversal",))))
+    reversed_ = still(by_group(campaign, ours, "hard", ("reversal",)))
+    times = campaign.casting(reversed_, all_suited=True)
+    asked = campaign.casting(reversed_)
     where = f"{ours}, reversals, still air: time to a suited member"
     found += [
-        claim(f"{where}, median", median(times), "s", "<=", 0.4),
+        claim(f"{where}, median (0 where one flies already)", median(times), "s", "<=", 0.4),
         claim(f"{where}, worst", max(times, default=math.nan), "s", "<=", 1.3),
+        claim(f"{where}, median where none flies yet ({len(asked)} of {len(times)})", median(asked), "s"),
     ]
     calm = survival(still(flights), oracle)
     for air, points in (("light", 2.0), ("moderate", None)):

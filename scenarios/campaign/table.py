@@ -102,15 +102,16 @@ class Campaign:
         """Return the suites that were flown."""
         return sorted({k[0] for row in self.rows.values() for k in row})
 
-    def casting(self, flights: Mapping[Key, Record]) -> list[float]:
+    def casting(self, flights: Mapping[Key, Record], all_suited: bool = False) -> list[float]:
         """Return the time from the fault until a suited member flies [s], one for each flight that asks for a change.
 
-        Such a flight has a suited member, and none that flies when the fault comes; inf when none ever flew. A law in
+        Such a flight has a suited member, and it is not the one that flies when the fault comes; inf when none ever
+        flew. With ``all_suited`` every flight that has a suited member counts, with 0 where it flies already. A law in
         the cast's place has no such times.
         """
         times = []
         for k, record in flights.items():
             right = suited(self.members.get(k, []))
-            if right and record.switched_to and (at := time_to_suited(record, right)) > 0.0:
-                times.append(at)
-        return times
+            if right and record.switched_to:
+                times.append(time_to_suited(record, right))
+        return times if all_suited else [at for at in times if at > 0.0]

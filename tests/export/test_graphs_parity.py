@@ -437,19 +437,10 @@ def test_the_imagination_limits_commands_as_the_gate_does(make_actors, nominal_m
 # ------------------------------------------------------------------------------------------------ limited actuators
 
 
-def tight(rate: float = 0.25) -> np.ndarray:
-    """Return a slow elevator, a slow aileron of small range and a rudder that is all but jammed."""
-    actuators = HEALTHY.copy()
-    actuators[ACTUATOR.rate, ACTION.de] = rate
-    actuators[:, ACTION.da] = -0.012, 0.008, 4.0 * rate
-    actuators[:, ACTION.dr] = 0.004, 0.006, np.inf
-    return actuators
-
-
 @pytest.mark.parametrize(
     ("name", "lag", "delay"), [*itertools.product(["thesis", "scaled"], [0, 1], [0, 15]), ("linear-law", 3, 1)]
 )
-def test_limited_actuators(delay, lag, name, make_actors, nominal_model):
+def test_limited_actuators(delay, lag, name, make_actors, nominal_model, tight):
     """In several models, one with crossed surfaces; each surface's limits are felt."""
     network = NETWORKS[name]
     population = make_actors(network, members=3, seed=5)
@@ -501,7 +492,7 @@ def test_healthy_actuators_are_those_that_no_limit_holds(delay, lag, make_actors
 
 @pytest.mark.parametrize("lag", [0, 1, 3])
 @pytest.mark.parametrize("delay", [0, 1, 15])
-def test_what_acts_already_is_given_and_what_waits_is_limited(delay, lag, make_actors, nominal_model):
+def test_what_acts_already_is_given_and_what_waits_is_limited(delay, lag, make_actors, nominal_model, tight):
     """Commands sent before lie beyond the range, and further apart than the rate."""
     network = NETWORKS["scaled"]
     population = make_actors(network, members=2)

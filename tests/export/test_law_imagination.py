@@ -282,19 +282,10 @@ def test_commands_are_limited(graphs, nominal_model):
         assert abs(question.by_numpy(less, memory[:1]).returns[0, 0] - returns[0, 0]) > 1.0
 
 
-def tight(rate: float = 0.25) -> np.ndarray:
-    """Return a slow elevator, a slow aileron of small range and a rudder that is all but jammed."""
-    actuators = HEALTHY.copy()
-    actuators[ACTUATOR.rate, ACTION.de] = rate
-    actuators[:, ACTION.da] = -0.012, 0.008, 4.0 * rate
-    actuators[:, ACTION.dr] = 0.004, 0.006, np.inf
-    return actuators
-
-
 @pytest.mark.parametrize("exact", [True, False], ids=["exact-kinematics", "full-model"])
 @pytest.mark.parametrize("lag", [0, 1, 3])
 @pytest.mark.parametrize("delay", [0, 1, 15])
-def test_limited_actuators(delay, lag, exact, graphs, nominal_model, full_model):
+def test_limited_actuators(delay, lag, exact, graphs, nominal_model, full_model, tight):
     """Laws that read what acted, in several models, one with crossed surfaces; each surface's limits are felt."""
     model = nominal_model if exact else full_model
     crossed = with_effectiveness(model, np.array([[0.3, -0.5, 0.0], [0.4, 1.0, 0.2], [0.0, 0.1, -1.0]]))

@@ -100,6 +100,7 @@ def test_rows_that_follow_from_the_members():
 def test_times_are_taken_where_a_change_is_asked_for():
     flown = campaign()
     assert flown.casting(flown.pick("structured")) == [0.25, 0.25]  # of the first flight the champion is the right one
+    assert sorted(flown.casting(flown.pick("structured"), all_suited=True)) == [0.0, 0.25, 0.25]
     assert flown.casting(flown.pick("pid")) == []
 
 
@@ -112,8 +113,10 @@ def test_claims_are_figures_of_the_flights_and_may_fail():
     assert (peer.value, peer.holds) == (0.0, True)
     ratio = found[f"{where}, reversals: nMAE over the oracle's, median"]
     assert (ratio.value, ratio.holds) == (pytest.approx((1.1 + 1.3 / 1.2) / 2, rel=1e-3), True)
-    time = found["structured, reversals, still air: time to a suited member, median"]
-    assert (time.value, time.holds) == (0.25, True)
+    time = "structured, reversals, still air: time to a suited member, median"
+    assert found[f"{time} (0 where one flies already)"].value == 0.25
+    assert found[f"{time} where none flies yet (2 of 3)"].value == 0.25
+    assert found[f"{time} (0 where one flies already)"].holds
     assert claims(campaign(), "not flown", faithful=False) == []
 
 
