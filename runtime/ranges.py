@@ -53,9 +53,12 @@ class Range:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Return least and greatest deflection [rad], as far as they are known."""
+        """Return least and greatest deflection [rad], as far as they are known.
+
+        A surface that ran away may be held beyond all that can be commanded.
+        """
         low, high = (at if sure else free for at, sure, free in zip(self.reach, self.known, ALL, strict=True))
-        return low, high
+        return (low, max(low, high)) if self.known[LOW] else (min(low, high), high)
 
 
 class Ranges:

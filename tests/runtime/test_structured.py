@@ -311,13 +311,16 @@ def test_a_surface_that_stops_short_is_found_with_both_ends_of_its_range(noise, 
     assert found.limited is None or (low < trim - 0.03 and high > trim + 0.03)
 
 
-def test_a_jammed_surface_has_both_ends_at_one_place_or_is_dead():
+@pytest.mark.parametrize("at", [0.01, 0.26, -0.26])
+def test_a_jammed_surface_has_both_ends_at_one_place_or_is_dead(at):
+    """Also where it ran away to, beyond all that can be commanded."""
     aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
     watch(found, aircraft, 500)
-    aircraft.low[1] = aircraft.high[1] = 0.01
+    aircraft.low[1] = aircraft.high[1] = at
     watch(found, aircraft, 500)
     low, high = found.actuators[:2, 1]
-    assert abs(found.believed[1]) < 0.15 or (found.limited == 1 and high - low < 0.01)
+    dead = found.limited is None and abs(found.believed[1]) < 0.15
+    assert dead or (found.limited == 1 and low == pytest.approx(at, abs=0.005) and low <= high < low + 0.01)
 
 
 @pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -0.3, 1.0), (0.3, 1.0, 1.0), (-1.0, -1.0, 1.0)])
