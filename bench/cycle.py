@@ -16,6 +16,7 @@ from typing import NamedTuple
 import click
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import common as mavlink
 
 from runtime import codec
@@ -28,10 +29,13 @@ from runtime.link import Sample
 from runtime.loop import Loop
 from runtime.plays import Plays
 from runtime.population import BehaviouralPolicy, Population, load_population, make_session
+from runtime.rate_filter import N, RateFilters
 from runtime.recorder import Recorder
 from runtime.reference import RecordedReference
+from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast, Decision, Reason
 from sim_bridge.codec import Codec
+from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT, DT
 from task.model import N_REGRESSORS
 from task.observation import observation
@@ -130,6 +134,49 @@ def learning() -> list[Piece]:
     ]
 
 
+def estimating(population: Population) -> list[Piece]:
+    """Return the bank of Kalman filters beside one of filterpy's, and the estimator with and without ranges."""
+    settings, rates = resolve("structured").adaptation, population.rates
+    if rates is None:
+        raise UserError(f"{population.name}: expected a population with a rate model; export it again")
+    rng = np.random.default_rng(0)
+    states = level()[None, :] + 1e-3 * rng.normal(size=(64, len(STATE)))
+    found = Effectiveness(settings, rates, population.command_lag)
+    size = len(found.filter.s)
+    bank, u, w = RateFilters(rates, size), np.tile(ACTION, (size, 1)), states[0, :3]
+    bank.variances[:], bank.q[:], bank.r[:] = 1e-2, 1e-6, 1e-6
+    listed = states[0].tolist()
+    theirs = [KalmanFilter(dim_x=N, dim_z=len(w)) for _ in range(size)]
+    for each in theirs:
+        each.H, each.R, each.Q = np.eye(len(w), N), 1e-6 * np.eye(len(w)), 1e-6 * np.eye(N)
+
+    def ours() -> None:
+        bank.linearise(listed[:N_IDENTIFIED], 0.0, u)
+        bank.predict()
+        bank.update(w)
+
+    def filterpy() -> None:
+        for each in theirs:
+            each.predict()
+            each.update(w)
+
+    def estimator(found: Effectiveness) -> Callable[[], None]:
+        count = iter(range(10**9))
+
+        def sample() -> None:
+            found.observe(states[next(count) % 64])
+            found.command(ACTION)
+
+        return sample
+
+    plain = Effectiveness(replace(settings, ranges=False), rates, population.command_lag)
+    return [
+        Piece(f"{size} Kalman filters, 11 states", ours, filterpy, "filterpy, one by one"),
+        Piece("signed effectiveness, all of it", estimator(found)),
+        Piece("signed effectiveness, no ranges", estimator(plain)),
+    ]
+
+
 def acting(population: Population) -> list[Piece]:
     """Return the behavioural policy with bound memory beside a plain session call, and what surrounds it."""
     policy = BehaviouralPolicy(population)
@@ -220,7 +267,9 @@ def main(population: Path, out: Path) -> None:
     began = time.perf_counter()
     cast = load_population(population)
     with tempfile.TemporaryDirectory() as folder, Imagination(cast, 1) as imagination:
-        found = measure([*wire(), *learning(), *acting(cast), *whole(cast, Path(folder), imagination)])
+        found = measure(
+            [*wire(), *learning(), *estimating(cast), *acting(cast), *whole(cast, Path(folder), imagination)]
+        )
     rows = [
         [piece.name, round(ours, 1), piece.peer_name or None, round(peer, 1) if peer else None,
          round(peer / ours, 1) if peer else None]
