@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +32,13 @@ def random_actors(network: Network, members: int = 4, seed: int = 0, gain: float
     names = tuple(Member(name=f"actor-{i}", scores={"return": -float(i)}) for i in range(members))
     description = Description(network=network, members=names, champion="actor-1", training={"seed": seed})
     return Population(description, flatten(network, tensors))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _ctrl_c_is_heard() -> None:
+    """Undo what a shell does to jobs in its background: they ignore Ctrl-C, and so would all that tests start."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
