@@ -83,7 +83,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 
     head_start_short: NotNegative = 0.0
     """The same while a surface is believed to stop short of its commands or to do next to nothing [-]: what such an
-    aircraft does is imagined better than what one with late or slow surfaces does."""
+    aircraft does is imagined better than what one with late or slow surfaces does. It lets the first member fly on; one
+    that does not fly comes back on its own merits."""
 
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
@@ -157,15 +158,15 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     effectiveness_limit: Positive = 2.5
     """Largest abs(lambda) that is imagined [-]: a surface that hardly moves tells little of its effectiveness."""
 
-    alarm_threshold: Positive = 75.0
+    alarm_threshold: Positive = 80.0
     """Alarm when five normalised innovations squared add up to more than this. With a right model the sum is
     chi-squared with 15 degrees of freedom and reaches 60 twice in 10 million samples."""
 
-    alarm_colour: NotNegative = 0.15
+    alarm_colour: NotNegative = 0.25
     """The threshold grows by this share for each e-fold of the bias's drift that turbulence asks for [-]: gusts are not
-    quite a random walk. Light turbulence doubles the threshold."""
+    quite a random walk. Light turbulence nearly trebles the threshold."""
 
-    alarm_shift: Positive = 50.0
+    alarm_shift: Positive = 40.0
     """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]."""
 
     shift_time: Positive = 5.0
@@ -181,7 +182,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness_agile: NotNegative = 0.01
     """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: tuple[Positive, Positive, Positive] = (30.0, 55.0, 45.0)
+    agile_lead: tuple[Positive, Positive, Positive] = (35.0, 60.0, 60.0)
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
@@ -224,6 +225,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     forecast_time: NotNegative = 0.0
     """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
     time constant [s]; 0 decides on each imagination alone."""
+
+    forecast_time_short: NotNegative = 0.0
+    """The same while a surface is believed to stop short of its commands or to do next to nothing [s]: who flies such
+    an aircraft best is told by the hard moments, and the quiet ones between them change the cast to and fro."""
 
     confirmations: Annotated[int, msgspec.Meta(ge=1)] = 1
     """So many imaginations in a row must name the same member before a change that no alarm asked for."""
@@ -306,6 +311,7 @@ PRESETS: dict[str, Adaptation] = {
         head_start=1.0,
         head_start_short=1.0,
         forecast_time=0.5,
+        forecast_time_short=0.5,
         confirmations=2,
     ),
     "ensemble": Adaptation(
@@ -314,8 +320,9 @@ PRESETS: dict[str, Adaptation] = {
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
         head_start=15.0,
-        head_start_short=2.0,
+        head_start_short=0.5,
         forecast_time=0.2,
+        forecast_time_short=3.0,
         confirmations=2,
     ),
     "thesis": Adaptation(

@@ -19,9 +19,7 @@ class Forecast:
     be predicted to do ten times as well. What several of them say is the member's, what one says may be the gust's.
     """
 
-    def __init__(self, memory: float) -> None:
-        """Take the time constant of the forgetting [s]; 0 believes each imagination as it comes."""
-        self._memory = memory
+    def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
@@ -30,17 +28,20 @@ class Forecast:
         self._asked_at = 0.0
         self._effect, self._hypothesis = np.zeros(0), -1
 
-    def take(self, returns: np.ndarray, asked_at: float, belief: tuple[np.ndarray, int] | None) -> np.ndarray:
+    def take(
+        self, returns: np.ndarray, asked_at: float, belief: tuple[np.ndarray, int] | None, memory: float
+    ) -> np.ndarray:
         """Return the mean (P + 1,) with ``returns`` (P + 1,) in it.
 
-        asked_at: time of the state that they start from [s]; belief: lambda (3,) and the hypothesis then imagined.
+        asked_at: time of the state that they start from [s]; belief: lambda (3,) and the hypothesis then imagined;
+        memory: time constant of the forgetting [s], 0 believes each imagination as it comes.
         """
         effect, hypothesis = belief or (np.zeros(0), -1)
         same = hypothesis == self._hypothesis and bool((np.abs(effect - self._effect) <= SAME).all())
-        if self._mean is None or self._memory == 0.0 or not same:
+        if self._mean is None or memory == 0.0 or not same:
             self._mean, self._effect, self._hypothesis = returns.copy(), effect, hypothesis
         else:
-            weight = 1.0 - math.exp(-(asked_at - self._asked_at) / self._memory)
+            weight = 1.0 - math.exp(-(asked_at - self._asked_at) / memory)
             mean = self._mean + weight * (returns - self._mean)
             self._mean = np.where(np.isfinite(mean), mean, returns)
         self._asked_at = asked_at

@@ -84,7 +84,7 @@ class Plays:
         self._next = self._period
         self._alarm_at = self._watch_until = -1
         self._switched_at = -np.inf
-        self._forecast = Forecast(settings.forecast_time)
+        self._forecast = Forecast()
         self._belief: tuple[np.ndarray, int] | None = None
         self._short = False
         self._candidate, self._votes = -1, 0
@@ -141,10 +141,12 @@ class Plays:
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
         overtaken = asked <= self._alarm_at
-        returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief)
+        settings, head_start, memory = self._settings, self._settings.head_start, self._settings.forecast_time
+        if self._short:
+            head_start = settings.head_start_short if self._cast.flying == self._cast.first else 0.0
+            memory = settings.forecast_time_short
+        returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief, memory)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
-        settings = self._settings
-        head_start = settings.head_start_short if self._short else settings.head_start
         decision = decide(
             returns, self._cast.flying, age, settings, since_switch, overtaken, self._cast.first, head_start
         )

@@ -18,7 +18,7 @@ import numpy as np
 
 from task.state import N_ACTION
 
-RATE_MODEL_VERSION = 1
+RATE_MODEL_VERSION = 2
 """Of the structure below; a file of coefficients says for which structure they were fitted."""
 RATES = 3
 """p, q, r: the first three states."""
@@ -38,19 +38,22 @@ V_NOMINAL = 90.0
 """Speed about which the terms in speed are written [m/s]."""
 KNEE = math.radians(8.0)
 """Angle of attack above which the lift curve bends [rad]."""
-N_FEATURES = 23
+BENDS = tuple(math.radians(degrees) for degrees in (4.0, 6.0, 9.0, 9.5, 10.0, 10.5, 11.0, 12.0))
+"""Angles of attack beside the knee at which the pitching moment's slope may change [rad]: close to each other at the
+stall, where it does so within half a degree."""
+N_FEATURES = 26 + len(BENDS)
 """Length of phi."""
-N_EFFECT = 3
-"""Terms of B_j: constant, alpha, speed."""
+N_EFFECT = 4
+"""Terms of B_j: constant, alpha, speed, knee."""
 
 
 class RateModel(NamedTuple):
     """The coefficients of the healthy aircraft."""
 
     drift: np.ndarray
-    """A (23, 3): features, then p, q, r [rad/s2 per feature]."""
+    """A (34, 3): features, then p, q, r [rad/s2 per feature]."""
     effect: np.ndarray
-    """B (3, 3, 3): surface j, term of :func:`effect_terms`, axis of p, q, r [rad/s2 per Pa rad]."""
+    """B (3, 4, 3): surface j, term of :func:`effect_terms`, axis of p, q, r [rad/s2 per Pa rad]."""
 
 
 def dynamic_pressure(V: Any, h: Any) -> Any:
@@ -60,11 +63,9 @@ def dynamic_pressure(V: Any, h: Any) -> Any:
 
 
 def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any, qbar: Any) -> tuple[Any, ...]:
-    """Return phi(x), 23 terms. washed: the high-passed yaw rate [rad/s] that the yaw damper feeds to the rudder."""
+    """Return phi(x), 34 terms. washed: the high-passed yaw rate [rad/s] that the yaw damper feeds to the rudder."""
     damping = qbar / (V + 1e-9)  # at V = 0 there is neither
     speed = V / V_NOMINAL - 1.0
-    over = alpha - KNEE
-    knee = 0.5 * (over + abs(over))
     one = 0.0 * V + 1.0
     return (
         one,
@@ -72,7 +73,7 @@ def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any,
         qbar * alpha,
         qbar * alpha * alpha,
         qbar * alpha * alpha * alpha,
-        qbar * knee,
+        qbar * beyond(alpha, KNEE),
         qbar * speed,
         qbar * speed * alpha,
         qbar * beta,
@@ -86,16 +87,26 @@ def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any,
         damping * alpha * p,
         damping * alpha * q,
         damping * alpha * r,
+        damping * speed * p,
+        damping * speed * q,
+        damping * speed * r,
         qbar * washed,
         p * q,
         q * r,
         p * r,
+        *(qbar * beyond(alpha, bend) for bend in BENDS),
     )
 
 
-def effect_terms(V: Any, alpha: Any, qbar: Any) -> tuple[Any, Any, Any]:
+def effect_terms(V: Any, alpha: Any, qbar: Any) -> tuple[Any, Any, Any, Any]:
     """Return the terms that B_j is linear in, times qbar."""
-    return qbar, qbar * alpha, qbar * (V / V_NOMINAL - 1.0)
+    return qbar, qbar * alpha, qbar * (V / V_NOMINAL - 1.0), qbar * beyond(alpha, KNEE)
+
+
+def beyond(angle: Any, bend: float) -> Any:
+    """Return by how much an angle is greater than another, or 0 [rad]."""
+    over = angle - bend
+    return 0.5 * (over + abs(over))  # max(over, 0), for floats and arrays alike
 
 
 def washout(low_passed: float, r: float, dt: float) -> float:

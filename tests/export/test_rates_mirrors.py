@@ -12,7 +12,7 @@ from runtime.population import load_population
 from sim_bridge.conditions import NOMINAL
 from sim_bridge.plant import Plant
 from task.errors import UserError
-from task.rates import N_FEATURES, RateModel, dynamic_pressure, effect_terms
+from task.rates import N_FEATURES, RATE_MODEL_VERSION, RateModel, dynamic_pressure, effect_terms
 from task.state import ACTION, N_IDENTIFIED, STATE
 
 TANH = Network(layers=(Layer(units=12), Layer(units=12, layer_norm="standard"), Layer(units=3)))
@@ -57,11 +57,11 @@ def test_the_rate_model_travels_with_the_population(rates, make_actors, short_pr
 
 
 def test_another_structure_is_refused_in_one_line(rates, make_actors, short_prior, tmp_path, monkeypatch):
-    monkeypatch.setattr("export.folder.RATE_MODEL_VERSION", 2)
+    monkeypatch.setattr("export.folder.RATE_MODEL_VERSION", RATE_MODEL_VERSION + 1)
     write_population(make_actors(TANH), short_prior, tmp_path / "newer", rates=rates)
-    with pytest.raises(UserError, match=r"rate_model.npz: version: this runtime reads 1, got 2"):
+    with pytest.raises(UserError, match=r"rate_model.npz: version: this runtime reads 2, got 3"):
         load_population(tmp_path / "newer")
-    monkeypatch.setattr("export.folder.RATE_MODEL_VERSION", 1)
+    monkeypatch.setattr("export.folder.RATE_MODEL_VERSION", RATE_MODEL_VERSION)
     wrong = RateModel(np.zeros((N_FEATURES + 1, 3)), rates.effect)
     write_population(make_actors(TANH), short_prior, tmp_path / "wrong", rates=wrong)
     with pytest.raises(UserError, match="expected finite"):
