@@ -158,13 +158,13 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     effectiveness_limit: Positive = 2.5
     """Largest abs(lambda) that is imagined [-]: a surface that hardly moves tells little of its effectiveness."""
 
-    alarm_threshold: Positive = 80.0
+    alarm_threshold: Positive = 75.0
     """Alarm when five normalised innovations squared add up to more than this. With a right model the sum is
     chi-squared with 15 degrees of freedom and reaches 60 twice in 10 million samples."""
 
-    alarm_colour: NotNegative = 0.25
+    alarm_colour: NotNegative = 0.3
     """The threshold grows by this share for each e-fold of the bias's drift that turbulence asks for [-]: gusts are not
-    quite a random walk. Light turbulence nearly trebles the threshold."""
+    quite a random walk. Light turbulence more than trebles the threshold."""
 
     alarm_shift: Positive = 40.0
     """Alarm also when the bias is further from its running mean than so many of its own standard deviations [-]."""
@@ -182,7 +182,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_effectiveness_agile: NotNegative = 0.01
     """Drift of lambda, each sample, of the filters that look whether a surface has changed [-]."""
 
-    agile_lead: tuple[Positive, Positive, Positive] = (35.0, 60.0, 60.0)
+    agile_lead: tuple[Positive, Positive, Positive] = (30.0, 55.0, 50.0)
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
