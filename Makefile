@@ -97,10 +97,11 @@ peers: setup-dev ## The classical laws on faults, noise and latency, into result
 decision: setup-dev ## What it is worth that the imagination carries the delay of the commands, into results/
 	$(BIN)/python -m bench.decision $(ARGS)
 
-bench: setup-dev ## Cost of the cycle, the link and the imagination beside their peers, as ratios
+bench: setup-dev ## Cost of cycle, link and imagination beside their peers, as ratios; the rate model's error
 	$(BIN)/python -m bench.cycle
 	$(BIN)/python -m bench.link
 	$(BIN)/python -m bench.imagination
+	$(BIN)/python -m bench.rate_model
 
 bench-train: setup-dev ## Training speed beside a straightforward implementation
 	$(BIN)/python -m bench.train

@@ -62,24 +62,23 @@ def regression(states: np.ndarray, commands: np.ndarray, lag: int = COMMAND_LAG)
     return z, np.diff(states[:, : STATE.V], axis=0)[k] / DT
 
 
+def white(a: np.ndarray, whitening: float) -> np.ndarray:
+    """Return a (N, ...) through 1 - whitening z^-1, (N - 1, ...)."""
+    return a[1:] - whitening * a[:-1]
+
+
 def fit(flights: list[tuple[np.ndarray, np.ndarray]], whitening: float) -> RateModel:
     """Return the rate model of flights, pairs as :func:`regression` returns them."""
-
-    def white(a: np.ndarray) -> np.ndarray:
-        return a[1:] - whitening * a[:-1]
-
-    z = np.concatenate([white(z) for z, _ in flights])
-    y = np.concatenate([white(y) for _, y in flights])
+    z = np.concatenate([white(z, whitening) for z, _ in flights])
+    y = np.concatenate([white(y, whitening) for _, y in flights])
     scale = np.sqrt((z**2).mean(axis=0))  # qbar beside p q: solve in comparable units
     scale[scale == 0.0] = 1.0  # a feature that no flight reached, as the knee of the lift curve: coefficient zero
     theta = np.linalg.lstsq(z / scale, y, rcond=None)[0] / scale[:, None]
     return RateModel(theta[:N_FEATURES], theta[N_FEATURES:].reshape(shapes()["effect"]))
 
 
-def rate_model(settings: RateSettings | None = None, lag: int = COMMAND_LAG) -> RateModel:
-    """Fly the healthy plant over the envelope and return its rate model."""
-    settings = settings or RateSettings()
-    plant = Plant()
+def fitting_flights(plant: Plant, settings: RateSettings) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the excited flights that the model is fitted on: states (T + 1, 10) and commands (T, 3) [rad] of each."""
     rng = np.random.default_rng(settings.seed)
     flights = []
     for family in settings.families:
@@ -87,5 +86,12 @@ def rate_model(settings: RateSettings | None = None, lag: int = COMMAND_LAG) -> 
         for condition in settings.conditions:
             for _ in range(settings.flights):
                 states, commands = excited_flight(plant, rng, condition, flying)
-                flights.append(regression(states[:, :N_IDENTIFIED], commands, lag))
-    return fit(flights, settings.whitening)
+                flights.append((states[:, :N_IDENTIFIED], commands))
+    return flights
+
+
+def rate_model(settings: RateSettings | None = None, lag: int = COMMAND_LAG) -> RateModel:
+    """Fly the healthy plant over the envelope and return its rate model."""
+    settings = settings or RateSettings()
+    flights = fitting_flights(Plant(), settings)
+    return fit([regression(states, commands, lag) for states, commands in flights], settings.whitening)
