@@ -1,11 +1,14 @@
 """When the cast is imagined and what comes of it, with the real imagination of a cast of linear laws."""
 
+from types import SimpleNamespace
+
+import msgspec
 import numpy as np
 import pytest
 
 from runtime.config import Adaptation
 from runtime.identification import IncrementalModel
-from runtime.imagination import Imagination
+from runtime.imagination import Imagination, Prediction
 from runtime.plays import Played, Plays
 from runtime.population import BehaviouralPolicy, load_population
 from runtime.reference import RecordedReference
@@ -84,3 +87,50 @@ def test_a_switch_in_words():
     )
     risky = Played(returns, np.array([0.0, 0.42, 0.0]), 0.1, 0, decision, "").describe(["a", "b"])
     assert "switch to b: predicted -5.5 with 0.42 s unsafe, incumbent" in risky
+
+
+class Foretold:
+    """An imagination that says what it is told to, by the tick of the question; the rest is the last of it."""
+
+    def __init__(self, returns):
+        self.returns = list(returns)
+
+    def request(self, snapshot, tick):
+        """Take a question."""
+
+    def wait(self, asked):
+        returns = self.returns.pop(0) if len(self.returns) > 1 else self.returns[0]
+        return Prediction(np.array([returns]), np.zeros((1, len(returns))), asked, 0.001)
+
+
+HARD, QUIET = [-40.0, -20.0, -90.0, -90.0], [-1.0, -2.0, -90.0, -90.0]
+"""What "good", "lazy" and the others are foretold in a hard moment and in a quiet one."""
+
+
+@pytest.mark.parametrize(
+    ("short", "foretold", "flying", "expected"),
+    [
+        (False, [HARD], "good", ["good"]),
+        (True, [HARD], "good", ["lazy"]),
+        (True, [HARD, QUIET, QUIET, QUIET], "good", ["lazy"]),  # the hard moment is remembered
+        (True, [QUIET], "good", ["good"]),
+        (True, [[-1.0, -0.9, -90.0, -90.0]], "good", ["good"]),  # half of head start
+        (True, [[-1.2, -1.0, -90.0, -90.0]], "lazy", ["lazy"]),  # that brings nobody back
+        (False, [[-1.2, -1.0, -90.0, -90.0]], "lazy", ["good"]),
+    ],
+)
+def test_the_head_start_is_small_and_the_memory_long_while_a_surface_stops_short(
+    population, short, foretold, flying, expected
+):
+    settings = msgspec.structs.replace(
+        SETTINGS, head_start=25.0, head_start_short=0.5, forecast_time=0.01, forecast_time_short=3.0
+    )
+    flight = Flight(population, None, settings, flying)
+    flight.cast.first = MEMBERS.index("good")
+    found = SimpleNamespace(short=short, believed=np.ones(3), evidence=SimpleNamespace(believed=0))
+    model = SimpleNamespace(alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=found)
+    plays = flight.plays
+    plays._model, plays._snapshot = model, lambda t: None
+    plays._imagination = Foretold([*row, row[MEMBERS.index(flying)]] for row in foretold)
+    played = [played for tick in range(100) if (played := plays.step(tick, tick * DT))]
+    assert [MEMBERS[played[-1].decision.member]] == expected
