@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
+from runtime.alarm import Alarm
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
 from runtime.ranges import Ranges
 from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
-from runtime.shift import Shift
 from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
 from task.actuators import ACTUATOR
@@ -36,10 +36,6 @@ class Effectiveness:
     Once a sample: :meth:`observe` with the state, then :meth:`command` with the command answered to it.
     """
 
-    WINDOW = 5
-    """Samples that the alarm sums."""
-    HOLD = 3
-    """Samples for which an agile filter must lead."""
     TURNING_NOISE = 0.02
     """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
     UNKNOWN = 0.25
@@ -53,8 +49,6 @@ class Effectiveness:
     LONG_AGO = 1.0
     """Filters that look for a range start from what was known so long before the alarm [s]: a surface that does not
     come back from its limit is soon taken for one that does little."""
-    BEYOND = 1e9
-    """Largest normalised innovation; what is more, or no number, counts as this."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
@@ -81,7 +75,7 @@ class Effectiveness:
         self._recent = np.zeros((max(round(self.LONG_AGO / dt), self._back_by), N))
         """The believed filter's states of the last samples, in a ring."""
         self._recalled, self._long_ago, self._believed_before = np.zeros(N), np.zeros(N), np.ones(N_ACTION)
-        self.shift = Shift(settings.q_bias, settings.shift_time, dt)
+        self.alarm = Alarm(settings, dt)
         self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
         self.stuck = Stuck(dt)
@@ -108,9 +102,8 @@ class Effectiveness:
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
-        self.shift.restart([0.0] * RATES)
-        self.agile_lead = [0.0] * N_ACTION
-        """By how much each surface's agile filter leads the believed one [nats]."""
+        self.alarm.shift.restart([0.0] * RATES)
+        self.alarm.clear()
         self.alarms = self.restarts = 0
         self._since = self._close_at + self._hold
         self.restart_history()
@@ -121,8 +114,7 @@ class Effectiveness:
         self._low_passed = 0.0
         self._drift: list[float] = []
         self._inputs.restart()
-        self._nis = [0.0] * self.WINDOW
-        self._led = 0
+        self.alarm.restart()
         self.stuck.reset()
         self.alarmed = False
         """True at the sample at which an alarm was raised."""
@@ -334,14 +326,11 @@ class Effectiveness:
     def _weigh(self) -> None:
         """Weigh the hypotheses, and whether lambda moves."""
         f, evidence = self.filter, self.evidence
-        agile, believed, memory = self._agile, evidence.believed, self.settings.delay_memory
+        agile, believed, alarm = self._agile, evidence.believed, self.alarm
         known = max(f.log_likelihood[evidence.best], f.log_likelihood[believed])
-        moving = f.log_likelihood[agile:]
-        self.agile_lead = [
-            max(memory * lead + new - known, 0.0) for lead, new in zip(self.agile_lead, moving, strict=True)
-        ]
-        lead = max(self.agile_lead)
-        explains = agile + self.agile_lead.index(lead) if lead > evidence.behind[believed] else evidence.best
+        alarm.compare(f.log_likelihood[agile:], known)
+        lead = max(alarm.leads)
+        explains = agile + alarm.leads.index(lead) if lead > evidence.behind[believed] else evidence.best
         surprise = f.surprise[explains]
         if self.stuck.any:
             p, q, r = (1.0 if blind else each for blind, each in zip(self.stuck.blind, surprise, strict=True))
@@ -349,10 +338,10 @@ class Effectiveness:
         self.unrest.feel(surprise)
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._since < self._open_at:
-            self.agile_lead = [0.0] * N_ACTION
+            alarm.clear()
         elif evidence.weigh(self._told(), self._since < self._close_at):
             self.alarmed = True
-            self.agile_lead = [0.0] * N_ACTION
+            alarm.clear()
             np.copyto(self.believed, self.effectiveness)
             f.s[agile:], f.P[agile:] = f.s[evidence.believed], f.P[evidence.believed]
 
@@ -382,9 +371,8 @@ class Effectiveness:
 
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
-        settings, f = self.settings, self.filter
+        settings, f, alarm = self.settings, self.filter, self.alarm
         explained = min(f.nis[self.evidence.best], f.nis[self.evidence.believed])
-        self._nis[self._states % self.WINDOW] = min(explained, self.BEYOND)
         self._since += 1
         if self._since == self._open_at:
             f.s[:] = self._recalled
@@ -405,20 +393,14 @@ class Effectiveness:
             self._start_anew(settings.effectiveness_sd)
             f.s[:, W] = w
         if self._since > self._close_at and self.unrest.known:
-            self.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
+            alarm.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
         else:
-            self.shift.restart(self.bias.tolist())
-        colour = 1.0 + settings.alarm_colour * math.log(max(self.unrest.levels))
-        moved = any(lead > colour * need for lead, need in zip(self.agile_lead, settings.agile_lead, strict=True))
-        self._led = self._led + 1 if moved else 0
+            alarm.shift.restart(self.bias.tolist())
         now = self._states % len(self._recent)
-        surprised = sum(self._nis) > settings.alarm_threshold * colour
-        if not self.unrest.known or self._since <= self._hold:
-            pass
-        elif surprised or self.shift.size > settings.alarm_shift or self._led >= self.HOLD:
+        if alarm.sounds(explained, self.unrest.levels) and self.unrest.known and self._since > self._hold:
             self.alarmed = True
             self.alarms += 1
-            self.agile_lead = [0.0] * N_ACTION
+            alarm.clear()
             self._since = 0
             np.copyto(self._recalled, self._recent[now - self._back_by])
             np.copyto(self._long_ago, self._recent[now])
@@ -461,5 +443,5 @@ class Effectiveness:
         f.s[:, W] = now
         if self.ranges:
             self.ranges.restore()
-        self._nis = [0.0] * self.WINDOW
+        self.alarm.forget_surprise()
         self.evidence.forget()
