@@ -72,7 +72,7 @@ def fly(plant: Plant, trim: FlightCondition, family: FamilyName, seed: int) -> t
 
 
 def least_squares(z: np.ndarray, y: np.ndarray, without: tuple[int, ...]) -> np.ndarray:
-    """Return theta (46, 3) with the rows of ``without`` zero."""
+    """Return theta (45, 3) with the rows of ``without`` zero."""
     kept = np.delete(np.arange(z.shape[1]), without)
     scale = np.sqrt((z[:, kept] ** 2).mean(axis=0))
     scale[scale == 0.0] = 1.0

@@ -43,7 +43,7 @@ class RateSettings(Settings, frozen=True):
 
 
 def regression(states: np.ndarray, commands: np.ndarray, lag: int = COMMAND_LAG) -> tuple[np.ndarray, np.ndarray]:
-    """Return regressors z (N, 46) and accelerations (N, 3) [rad/s2] of one flight; z = [phi(x); effect terms * u].
+    """Return regressors z (N, 45) and accelerations (N, 3) [rad/s2] of one flight; z = [phi(x); effect terms * u].
 
     states: (T + 1, 10), the state x[k] that a[k] answers; commands: (T, 3). z[k] is of x[k] and a[k - lag] and explains
     (w[k + 1] - w[k]) / dt.

@@ -38,9 +38,12 @@ V_NOMINAL = 90.0
 """Speed about which the terms in speed are written [m/s]."""
 KNEE = math.radians(8.0)
 """Angle of attack above which the lift curve bends [rad]."""
-BENDS = tuple(math.radians(degrees) for degrees in (4.0, 6.0, 9.0, 9.5, 10.0, 10.5, 11.0, 12.0))
+BENDS = tuple(math.radians(degrees) for degrees in (4.0, 6.0, 9.0, 9.5, 10.0, 10.5, 11.0))
 """Angles of attack beside the knee at which the pitching moment's slope may change [rad]: close to each other at the
 stall, where it does so within half a degree."""
+LOW_ALPHA, HIGH_ALPHA = math.radians(-6.0), math.radians(12.0)
+"""Angles of attack that the fit has seen [rad]. Beyond them every term stays as it is there: continued, the bends would
+have surfaces work backwards in a deep stall."""
 N_FEATURES = 26 + len(BENDS)
 """Length of phi."""
 N_EFFECT = 4
@@ -51,7 +54,7 @@ class RateModel(NamedTuple):
     """The coefficients of the healthy aircraft."""
 
     drift: np.ndarray
-    """A (34, 3): features, then p, q, r [rad/s2 per feature]."""
+    """A (33, 3): features, then p, q, r [rad/s2 per feature]."""
     effect: np.ndarray
     """B (3, 4, 3): surface j, term of :func:`effect_terms`, axis of p, q, r [rad/s2 per Pa rad]."""
 
@@ -63,7 +66,8 @@ def dynamic_pressure(V: Any, h: Any) -> Any:
 
 
 def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any, qbar: Any) -> tuple[Any, ...]:
-    """Return phi(x), 34 terms. washed: the high-passed yaw rate [rad/s] that the yaw damper feeds to the rudder."""
+    """Return phi(x), 33 terms. washed: the high-passed yaw rate [rad/s] that the yaw damper feeds to the rudder."""
+    alpha = known(alpha)
     damping = qbar / (V + 1e-9)  # at V = 0 there is neither
     speed = V / V_NOMINAL - 1.0
     one = 0.0 * V + 1.0
@@ -100,7 +104,13 @@ def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any,
 
 def effect_terms(V: Any, alpha: Any, qbar: Any) -> tuple[Any, Any, Any, Any]:
     """Return the terms that B_j is linear in, times qbar."""
+    alpha = known(alpha)
     return qbar, qbar * alpha, qbar * (V / V_NOMINAL - 1.0), qbar * beyond(alpha, KNEE)
+
+
+def known(alpha: Any) -> Any:
+    """Return the angle of attack within what the fit has seen [rad]."""
+    return LOW_ALPHA + beyond(alpha, LOW_ALPHA) - beyond(alpha, HIGH_ALPHA)
 
 
 def beyond(angle: Any, bend: float) -> Any:
