@@ -1,5 +1,7 @@
 """The rate model fitted on the plant, and members with reversed commands."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,9 +14,19 @@ from runtime.population import load_population
 from sim_bridge.conditions import NOMINAL
 from sim_bridge.plant import Plant
 from task.errors import UserError
-from task.rates import N_FEATURES, RATE_MODEL_VERSION, RateModel, dynamic_pressure, effect_terms
+from task.rates import (
+    HIGH_ALPHA,
+    LOW_ALPHA,
+    N_FEATURES,
+    RATE_MODEL_VERSION,
+    RateModel,
+    dynamic_pressure,
+    effect_terms,
+    features,
+)
 from task.state import ACTION, N_IDENTIFIED, STATE
 
+POPULATIONS = Path(__file__).resolve().parents[2] / "populations"
 TANH = Network(layers=(Layer(units=12), Layer(units=12, layer_norm="standard"), Layer(units=3)))
 
 
@@ -41,6 +53,21 @@ def test_each_surface_turns_the_aircraft_as_the_table_of_signs_says(rates):
     assert effect[ACTION.de, STATE.q] < -10.0
     assert effect[ACTION.da, STATE.p] < -5.0
     assert effect[ACTION.dr, STATE.r] < -1.5
+
+
+def test_beyond_the_angles_that_the_fit_has_seen_the_model_stays_as_it_is():
+    qbar = dynamic_pressure(90.0, 2000.0)
+    for inside, outside in ((HIGH_ALPHA, 0.7), (LOW_ALPHA, -0.7)):
+        assert effect_terms(90.0, outside, qbar) == pytest.approx(effect_terms(90.0, inside, qbar))
+        ends = [features(0.1, -0.2, 0.3, 90.0, alpha, 0.05, 0.1, qbar) for alpha in (inside, outside)]
+        assert ends[0] == pytest.approx(ends[1])
+    # What is fitted half a degree inside must not decide what a deep stall is like: no surface works backwards there.
+    shipped = load_population(POPULATIONS / "citation").rates
+    for alpha in np.linspace(-1.0, 1.0, 41):
+        effect = np.einsum("t,jta->ja", np.array(effect_terms(90.0, alpha, qbar)), shipped.effect)
+        assert effect[ACTION.de, STATE.q] < -5.0
+        assert effect[ACTION.da, STATE.p] < -5.0
+        assert effect[ACTION.dr, STATE.r] < -1.5
 
 
 def test_the_rate_model_travels_with_the_population(rates, make_actors, short_prior, tmp_path):
