@@ -62,17 +62,20 @@ def regression(states: np.ndarray, commands: np.ndarray, lag: int = COMMAND_LAG)
     return z, np.diff(states[:, : STATE.V], axis=0)[k] / DT
 
 
-def white(a: np.ndarray, whitening: float) -> np.ndarray:
-    """Return a (N, ...) through 1 - whitening z^-1, (N - 1, ...)."""
-    return a[1:] - whitening * a[:-1]
+def whitened(flights: list[tuple[np.ndarray, np.ndarray]], whitening: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return z and y of all flights in a row, each flight through 1 - whitening z^-1, which costs its first sample."""
+
+    def white(a: np.ndarray) -> np.ndarray:
+        return a[1:] - whitening * a[:-1]
+
+    return np.concatenate([white(z) for z, _ in flights]), np.concatenate([white(y) for _, y in flights])
 
 
 def fit(flights: list[tuple[np.ndarray, np.ndarray]], whitening: float) -> RateModel:
     """Return the rate model of flights, pairs as :func:`regression` returns them."""
-    z = np.concatenate([white(z, whitening) for z, _ in flights])
-    y = np.concatenate([white(y, whitening) for _, y in flights])
+    z, y = whitened(flights, whitening)
     scale = np.sqrt((z**2).mean(axis=0))  # qbar beside p q: solve in comparable units
-    scale[scale == 0.0] = 1.0  # a feature that no flight reached, as the knee of the lift curve: coefficient zero
+    scale[scale == 0.0] = 1.0  # a term that no flight reached, as those beyond the knee: coefficient zero
     theta = np.linalg.lstsq(z / scale, y, rcond=None)[0] / scale[:, None]
     return RateModel(theta[:N_FEATURES], theta[N_FEATURES:].reshape(shapes()["effect"]))
 

@@ -127,8 +127,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 
     stall_error: NotNegative = 300.0
     """Growth of the bias's drift with the angle of attack above 8 degrees, where the lift curve bends [1/rad]: by 5 a
-    degree. The rate model knows one bend there, the aircraft has many. Below -3 degrees too, but not soon after an
-    alarm."""
+    degree. Near the stall a sample says less of the surfaces. Below -3 degrees too, but not soon after an alarm."""
 
     effectiveness_sd: Positive = 0.05
     """Standard deviation of lambda about 1 at the start of a flight [-]."""

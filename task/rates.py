@@ -42,8 +42,8 @@ BENDS = tuple(math.radians(degrees) for degrees in (4.0, 6.0, 9.0, 9.5, 10.0, 10
 """Angles of attack beside the knee at which the pitching moment's slope may change [rad]: close to each other at the
 stall, where it does so within half a degree."""
 LOW_ALPHA, HIGH_ALPHA = math.radians(-6.0), math.radians(12.0)
-"""Angles of attack that the fit has seen [rad]. Beyond them every term stays as it is there: continued, the bends would
-have surfaces work backwards in a deep stall."""
+"""The fit has seen angles of attack from about here to there [rad]. Beyond them every term stays as it is there:
+continued, the bends would have surfaces work backwards in a deep stall."""
 N_FEATURES = 26 + len(BENDS)
 """Length of phi."""
 N_EFFECT = 4
