@@ -22,6 +22,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from runtime import codec
 from runtime.clock import SteppedClock
 from runtime.config import resolve
+from runtime.excitation import Excitation
 from runtime.guard import Guard, Health
 from runtime.identification import IncrementalModel, RecursiveLeastSquares
 from runtime.imagination import Imagination
@@ -217,7 +218,7 @@ def whole(population: Population, folder: Path, imagination: Imagination) -> lis
     plays = Plays(imagination, model, cast, rows, configuration.adaptation, DT, True)
     loop = Loop(
         SilentLink(), SteppedClock(), policy, cast, model, plays, rows, Guard(configuration.operation), recorder,
-        configuration.operation, population.members,
+        Excitation(configuration.adaptation, None), configuration.operation, population.members,
     )  # fmt: skip
     loop.begin(Sample(0, 1, x))
     ticks = iter(range(1, 10**9))

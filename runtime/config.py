@@ -1,7 +1,8 @@
-"""Every number of the runtime, with its unit and its reason; two named presets of the adaptation."""
+"""Every number of the runtime, with its unit and its reason; named presets of the adaptation."""
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,7 +11,7 @@ import msgspec
 
 from task.config import Settings, convert, read_bytes
 from task.errors import UserError
-from task.limits import DT
+from task.limits import DEFLECTION_LIMIT, DT
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -221,6 +222,16 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     watch_period: Positive = 0.1
     """Time between imaginations while watching [s]."""
 
+    excitation: Annotated[float, msgspec.Meta(ge=0.0, le=DEFLECTION_LIMIT)] = 0.0
+    """Pulse towards the middle for a surface that stands at its limit after an alarm, and of which it is not known what
+    it does [rad]; 0: none."""
+
+    excitation_time: Positive = 0.1
+    """How long the pulse lasts [s]."""
+
+    excitation_sd: Positive = 0.1
+    """There are pulses while lambda's standard deviation is larger than this [-]."""
+
     forecast_time: NotNegative = 0.0
     """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
     time constant [s]; 0 decides on each imagination alone."""
@@ -307,6 +318,7 @@ PRESETS: dict[str, Adaptation] = {
     "structured": Adaptation(
         effectiveness="structured",
         identify=False,
+        excitation=math.radians(5.0),
         head_start=1.0,
         head_start_short=1.0,
         forecast_time=0.5,
@@ -318,6 +330,7 @@ PRESETS: dict[str, Adaptation] = {
         identify=False,
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
+        excitation=math.radians(5.0),
         head_start=15.0,
         head_start_short=0.5,
         forecast_time=0.2,

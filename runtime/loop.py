@@ -12,6 +12,7 @@ import numpy as np
 
 from runtime.clock import Clock
 from runtime.config import Operation
+from runtime.excitation import Excitation
 from runtime.guard import NAMES, UNUSABLE, Guard, Health, describe
 from runtime.identification import IncrementalModel
 from runtime.laws.solo import NoPlays
@@ -53,6 +54,7 @@ class Loop:
         reference: Reference,
         guard: Guard,
         recorder: Recorder,
+        excitation: Excitation,
         operation: Operation,
         members: list[str],
         say: Callable[[str], None] = lambda line: None,
@@ -60,7 +62,7 @@ class Loop:
     ) -> None:
         self.link, self.clock, self.policy, self.cast = link, clock, policy, cast
         self.model, self.plays, self.reference = model, plays, reference
-        self.guard, self.recorder = guard, recorder
+        self.guard, self.recorder, self.excitation = guard, recorder, excitation
         self.operation, self.members = operation, members
         self.say_here, self.stopped = say, stopped
         self.cycles = self.gaps = self.overruns = self.switches = 0
@@ -120,7 +122,7 @@ class Loop:
                 self.cast.take(played.decision)
             self.cast.step()
             action = self.policy.steer(self.model.mended(x), reference)
-            command, why = self.guard.command(action)
+            command, why = self.guard.command(self.excitation.add(action))
         self.link.write(command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
         self.model.command(command)
@@ -171,7 +173,7 @@ class Loop:
         self.recorder.cycle(time_usec, tick, sample.x, command, reference, cast.blend, cast.flying, health)
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
         if self.model.effectiveness is not None:
-            self.recorder.effectiveness(time_usec, self.model.effectiveness)
+            self.recorder.effectiveness(time_usec, self.model.effectiveness, self.excitation.surface)
             if self.model.alarmed:
                 self.say(sample, Severity.WARNING, "alarm: the aircraft answers otherwise than known")
         if played is not None:

@@ -64,6 +64,8 @@ class Summary(msgspec.Struct, kw_only=True):
     switches: int
     alarms: int = 0
     """Times that the surfaces' effectiveness was suspected to have changed."""
+    pulses: int = 0
+    """Times that a surface was moved only to see what it does."""
     health: dict[str, int]
     """Cycles in which each flag of ``runtime.guard.Health`` was up."""
     updates: int
@@ -157,6 +159,7 @@ class Recorder:
                 ("uint8_t", "hypothesis"),
                 ("float", "confidence"),
                 ("uint8_t", "stuck"),
+                ("uint8_t", "excited"),
             ],
         ) if structured else None  # fmt: skip
         self._log.begin()
@@ -203,14 +206,15 @@ class Recorder:
         """Record what the model did not foresee (eq. 8.7) and trace(P)."""
         self._log.write(self._innovation, time_usec, trace, *innovation)
 
-    def effectiveness(self, time_usec: int, found: Effectiveness) -> None:
-        """Record what is known of the surfaces."""
+    def effectiveness(self, time_usec: int, found: Effectiveness, excited: int) -> None:
+        """Record what is known of the surfaces, and which has a pulse in this sample (-1: none)."""
         if self._effectiveness is not None:
             low, high, _ = found.actuators.tolist()
             self._log.write(
                 self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias, *low, *high,
                 found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
                 found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask,
+                1 << excited if excited >= 0 else 0,
             )  # fmt: skip
 
     def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:

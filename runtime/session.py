@@ -12,6 +12,7 @@ import numpy as np
 from runtime.clock import Clock, RateKeeper, SteppedClock, harden
 from runtime.config import Adaptation, Configuration
 from runtime.ensemble import Ensemble
+from runtime.excitation import Excitation
 from runtime.guard import UNUSABLE, Guard, describe
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Snapshot
@@ -175,9 +176,10 @@ class Session:
             path, self._configuration, self._population.name, members, self._model.outputs, self._information,
             threaded=operation.real_time,
         )  # fmt: skip
+        excitation = Excitation(adaptation, self._model.effectiveness, operation.dt)
         loop = Loop(
             self._link, clock, self._policy, self._cast, self._model, plays, self._reference, self._guard, recorder,
-            operation, members, self._say, self._stopped,
+            excitation, operation, members, self._say, self._stopped,
         )  # fmt: skip
         outcome = loop.fly(first)
         summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
@@ -206,6 +208,7 @@ class Session:
             plays_failed=plays.failed,
             switches=loop.switches,
             alarms=self._model.effectiveness.alarms if self._model.effectiveness else 0,
+            pulses=loop.excitation.pulses,
             health=dict(loop.health_counts),
             updates=rls.updates,
             updates_skipped=rls.skipped,

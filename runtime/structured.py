@@ -67,6 +67,7 @@ class Effectiveness:
         self._open_at = max(round(settings.open_after / dt), 1)
         self._close_at = self._open_at + max(round(settings.open_time / dt), 1)
         self._hold = round(settings.alarm_hold / dt)
+        self._watched_until = round(settings.watch / dt)
         self._calm_at = self._close_at + round(self.CALM / dt)
         self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
         self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
@@ -105,7 +106,7 @@ class Effectiveness:
         self.alarm.shift.restart([0.0] * RATES)
         self.alarm.clear()
         self.alarms = self.restarts = 0
-        self._since = self._close_at + self._hold
+        self._since = max(self._close_at + self._hold, self._watched_until)
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -200,6 +201,11 @@ class Effectiveness:
         if surface is not None and self.ranges:
             found[[ACTUATOR.low, ACTUATOR.high], surface] = self.ranges.of[surface].ends
         return found
+
+    @property
+    def searching(self) -> bool:
+        """Whether an alarm has opened the filters, less than ``watch`` ago."""
+        return self.known and self._open_at <= self._since < self._watched_until
 
     @property
     def known(self) -> bool:
@@ -389,8 +395,9 @@ class Effectiveness:
             self._q = self._q_quiet
             if self.ranges:
                 self.ranges.close()
-        if self.unrest.seen == self.unrest.LEARNING:  # what was taken for a change was noise not yet known
+        if self.unrest.ends_a_phase:  # what was taken for a change was noise, or turbulence, not yet known
             self._start_anew(settings.effectiveness_sd)
+            self.believed[:] = 1.0
             f.s[:, W] = w
         if self._since > self._close_at and self.unrest.known:
             alarm.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)

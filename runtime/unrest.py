@@ -51,6 +51,11 @@ class Unrest:
         return self.seen >= self.LEARNING
 
     @property
+    def ends_a_phase(self) -> bool:
+        """Whether noise or turbulence are known from this sample on."""
+        return self.seen in (self.LEARNING, 3 * self.LEARNING)
+
+    @property
     def known(self) -> bool:
         """Whether noise and turbulence have both been looked at for long enough."""
         return self.seen > 3 * self.LEARNING

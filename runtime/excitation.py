@@ -1,0 +1,83 @@
+"""Excitation on demand: a surface at its limit says nothing of its effectiveness until somebody moves it.
+
+A law that pushes a reversed surface the wrong way ends at the limit, and stays there: the command is constant, so that
+what the surface does cannot be told from what a moved centre of gravity or a gust does, neither by the filters nor by a
+law that learns by itself. A pulse of some degrees towards the middle tells the two apart in less than 0.1 s.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from runtime.config import Adaptation
+from runtime.structured import Effectiveness
+from task.limits import DEFLECTION_LIMIT, DT
+from task.state import N_ACTION
+
+
+class Excitation:
+    """Adds pulses to what the policy asks for: after an alarm, on a surface at its limit whose lambda is unsure.
+
+    One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then nothing for
+    ``REST`` on that surface.
+    """
+
+    AT_LIMIT = 0.98
+    """Share of the largest deflection that counts as the limit."""
+    STILL = 5
+    """Samples for which a command must have been there: who moves by himself needs no pulse."""
+    REST = 0.1
+    """From a pulse to the next one of the same surface [s]: the rates have answered by then."""
+
+    def __init__(self, settings: Adaptation, found: Effectiveness | None, dt: float = DT) -> None:
+        """``found``: who knows how sure each lambda is; without, and with a pulse of zero size, nothing is added."""
+        self._found = found if settings.excitation > 0.0 else None
+        self._size, self._unsure = settings.excitation, settings.excitation_sd
+        self._long, self._rest = max(round(settings.excitation_time / dt), 1), round(self.REST / dt)
+        self._still, self._resting = [0] * N_ACTION, [0] * N_ACTION
+        self._pulsed, self._left = -1, 0
+        self._out = np.zeros(N_ACTION)
+        self.pulses = 0
+        """How many there were."""
+
+    @property
+    def surface(self) -> int:
+        """Return the surface that has a pulse in this sample, or -1."""
+        return self._pulsed
+
+    def add(self, action: np.ndarray) -> np.ndarray:
+        """Return the action (3,) [rad], with a pulse where one is due; ``action`` stays as it is."""
+        found = self._found
+        if found is None:
+            return action
+        asked = action.tolist()
+        for surface, each in enumerate(asked):
+            at_limit = abs(each) >= self.AT_LIMIT * DEFLECTION_LIMIT
+            self._still[surface] = self._still[surface] + 1 if at_limit else 0
+            self._resting[surface] = max(self._resting[surface] - 1, 0)
+        if self._left == 0:
+            self._pulsed = -1
+            if found.searching:
+                self._begin(found.sd.tolist())
+        if self._left == 0:
+            return action
+        self._left -= 1
+        asked = asked[self._pulsed]
+        if not math.isfinite(asked):
+            return action
+        np.copyto(self._out, action)
+        within = min(max(asked, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
+        # A command that leaves its limit meanwhile moves by itself: the pulse takes it no further than to the middle.
+        self._out[self._pulsed] = within - math.copysign(min(self._size, abs(within)), within)
+        return self._out
+
+    def _begin(self, sd: list[float]) -> None:
+        """Begin a pulse where one is due: the elevator first, since pitch diverges the fastest."""
+        for surface, still in enumerate(self._still):
+            if still >= self.STILL and not self._resting[surface] and sd[surface] > self._unsure:
+                self._pulsed, self._left = surface, self._long
+                self._resting[surface] = self._long + self._rest
+                self.pulses += 1
+                return
