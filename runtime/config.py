@@ -195,6 +195,11 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     rate_limits: tuple[Positive, ...] = (0.14, 0.087, 0.052)
     """Rates that no surface may be found to exceed [rad/s]."""
 
+    bandwidths: tuple[Positive, ...] = ()
+    """Corner frequencies of first-order lags with which all surfaces may be found to follow [Hz]. The imagination has
+    no lag: such surfaces are imagined to follow at once from where they are, which suits laws that are told where that
+    is, and misleads a cast of networks."""
+
     ranges: bool = True
     """Whether a surface may be found to have lost some of its range."""
 
@@ -330,6 +335,7 @@ PRESETS: dict[str, Adaptation] = {
         identify=False,
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
+        bandwidths=(1.0,),
         excitation=math.radians(5.0),
         head_start=15.0,
         head_start_short=0.5,

@@ -64,11 +64,11 @@ class Excitation:
         if self._left == 0:
             return action
         self._left -= 1
-        asked = asked[self._pulsed]
-        if not math.isfinite(asked):
+        wanted = asked[self._pulsed]
+        if not math.isfinite(wanted):
             return action
         np.copyto(self._out, action)
-        within = min(max(asked, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
+        within = min(max(wanted, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
         # A command that leaves its limit meanwhile moves by itself: the pulse takes it no further than to the middle.
         self._out[self._pulsed] = within - math.copysign(min(self._size, abs(within)), within)
         return self._out

@@ -29,12 +29,19 @@ class Hypothesis(NamedTuple):
     """Whose command acts as elevator, aileron, rudder."""
     rate: float = math.inf
     """How fast every surface moves at most [rad/s]."""
+    bandwidth: float = math.inf
+    """How fast every surface closes in on its command, as the corner frequency of a first-order lag [Hz]."""
     limited: int | None = None
     """The surface whose range is to be found (:mod:`runtime.ranges`)."""
 
 
 def hypotheses(
-    delays: tuple[float, ...], crossed: bool, rates: tuple[float, ...], ranges: bool, dt: float
+    delays: tuple[float, ...],
+    crossed: bool,
+    rates: tuple[float, ...],
+    bandwidths: tuple[float, ...],
+    ranges: bool,
+    dt: float,
 ) -> tuple[Hypothesis, ...]:
     """Return the healthy one first, then each delay [s], crossed aileron and rudder, each rate limit [rad/s], ranges.
 
@@ -43,6 +50,7 @@ def hypotheses(
     late = sorted({round(delay / dt) for delay in delays} - {0})
     straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
     slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(rates), reverse=True))
+    slow += tuple(Hypothesis(0, STRAIGHT, bandwidth=hz) for hz in sorted(set(bandwidths), reverse=True))
     limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * ranges
     return straight + (Hypothesis(0, CROSSED),) * crossed + slow + limited
 
@@ -66,9 +74,12 @@ class Inputs:
         self._where = np.array([
             [(length - self._least - choice.delay) * N_ACTION + of for of in choice.order] for choice in choices
         ])  # fmt: skip
-        self._slow = next((i for i, choice in enumerate(choices) if choice.rate < math.inf), len(choices))
+        slow = [i for i, choice in enumerate(choices) if min(choice.rate, choice.bandwidth) < math.inf]
+        self._slow = slow[0] if slow else len(choices)
         """Row of the first hypothesis of slow surfaces."""
-        limits = [actuators(choice) for choice in choices if choice.rate < math.inf]
+        limits = [actuators(choices[i]) for i in slow]
+        self._gain = np.array([1.0 - math.exp(-2.0 * math.pi * choices[i].bandwidth * dt) for i in slow])[:, None]
+        """Share of the way to the command that a surface goes in a sample."""
         self._slow_rows = slice(self._slow, self._slow + len(limits))
         self._actuators = np.array(limits).reshape(-1, len(ACTUATOR), N_ACTION).swapaxes(0, 1)
         self._dt = dt
@@ -98,7 +109,8 @@ class Inputs:
             self._commands[-1] = action
             if len(self._actuators[0]):
                 np.copyto(self._older_followed, self._newer_followed)
-                self._followed[-1] = limited(action, self._followed[-2], self._actuators, self._dt)
+                before = self._followed[-2]
+                self._followed[-1] = limited(before + self._gain * (action - before), before, self._actuators, self._dt)
         self._sent += 1
 
     def followed(self, hypothesis: int) -> np.ndarray:

@@ -52,7 +52,9 @@ class Effectiveness:
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
-        self.hypotheses = hypotheses(settings.delays, settings.crossed, settings.rate_limits, settings.ranges, dt)
+        self.hypotheses = hypotheses(
+            settings.delays, settings.crossed, settings.rate_limits, settings.bandwidths, settings.ranges, dt
+        )
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
         """Row of the first agile filter."""

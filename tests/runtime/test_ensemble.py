@@ -270,7 +270,8 @@ def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(cita
     link, log = plant_link(2400, stop), tmp_path / "f.ulg"
     assert fly_rows(link, citation, log).outcome is Outcome.OVER
     found = topic(log, "effectiveness")
-    ranges = len(resolve("ensemble").adaptation.delays) + 2 + len(resolve("ensemble").adaptation.rate_limits)
+    settings = resolve("ensemble").adaptation
+    ranges = len(settings.delays) + 2 + len(settings.rate_limits) + len(settings.bandwidths)
     assert found["hypothesis"][-1] == ranges
     assert (found["delay"][500:] == 0).all()
     plain, other = plant_link(2400, stop), tmp_path / "g.ulg"

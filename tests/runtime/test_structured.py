@@ -163,7 +163,7 @@ def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sa
 
 
 def test_inputs_are_the_commands_of_each_hypothesis():
-    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), False, DT)
+    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), (), False, DT)
     healthy = [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
     assert [(c.delay, c.order) for c in choices] == [*healthy, (0, STRAIGHT), (0, STRAIGHT)]
     assert [c.rate for c in choices] == [np.inf] * 4 + [50.0, 25.0]
@@ -177,7 +177,7 @@ def test_inputs_are_the_commands_of_each_hypothesis():
 
 
 def test_slow_surfaces_follow_their_commands_and_stop_at_the_range_of_the_task():
-    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), False, DT), command_lag=1, dt=DT), DT
+    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), (), False, DT), command_lag=1, dt=DT), DT
     for asked in (0.0, 0.1, 0.1, 0.1, 0.1, -0.5):
         inputs.send(np.full(3, asked))
     fast, slow = inputs.followed(1), inputs.followed(2)
@@ -336,9 +336,9 @@ def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_stops_short(ef
 
 
 def test_ranges_are_looked_for_on_request_only():
-    names = [h.limited for h in hypotheses((0.05,), True, (0.1,), True, DT)]
+    names = [h.limited for h in hypotheses((0.05,), True, (0.1,), (), True, DT)]
     assert names == [None] * 4 + [0, 1, 2]
-    assert all(h.limited is None for h in hypotheses((0.05,), True, (0.1,), False, DT))
+    assert all(h.limited is None for h in hypotheses((0.05,), True, (0.1,), (), False, DT))
     found = Effectiveness(replace(SETTINGS, ranges=False), MODEL, 1)
     assert found.ranges is None
     aircraft = Aircraft()
