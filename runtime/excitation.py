@@ -37,7 +37,7 @@ class Excitation:
         self._size, self._unsure = settings.excitation, settings.excitation_sd
         self._long, self._rest = max(round(settings.excitation_time / dt), 1), round(self.REST / dt)
         self._still, self._resting = [0] * N_ACTION, [0] * N_ACTION
-        self._pulsed, self._left = -1, 0
+        self._pulsed, self._last, self._left = -1, -1, 0
         self._out = np.zeros(N_ACTION)
         self.pulses = 0
         """How many there were."""
@@ -74,10 +74,12 @@ class Excitation:
         return self._out
 
     def _begin(self, sd: list[float]) -> None:
-        """Begin a pulse where one is due: the elevator first, since pitch diverges the fastest."""
-        for surface, still in enumerate(self._still):
-            if still >= self.STILL and not self._resting[surface] and sd[surface] > self._unsure:
-                self._pulsed, self._left = surface, self._long
+        """Begin a pulse where one is due: the elevator's first, since pitch diverges the fastest, then in turn."""
+        for surface in (*range(self._last + 1, N_ACTION), *range(self._last + 1)):
+            unsure = sd[surface] > self._unsure
+            if unsure and self._still[surface] >= self.STILL and not self._resting[surface]:
+                self._pulsed = self._last = surface
+                self._left = self._long
                 self._resting[surface] = self._long + self._rest
                 self.pulses += 1
                 return

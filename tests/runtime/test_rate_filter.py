@@ -1,0 +1,79 @@
+"""The bank of Kalman filters against filterpy's, and the evidence of a bank of models."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from runtime.hypotheses import Evidence
+from runtime.rate_filter import N, RateFilters
+from tests.runtime.rate_aircraft import MODEL, state
+
+
+def test_the_bank_is_filterpys_filters():
+    rng, size = np.random.default_rng(0), 4
+    ours = RateFilters(MODEL, size)
+    ours.s[:] = rng.normal(size=(size, N)) * 0.1
+    ours.variances[:] = rng.uniform(1e-4, 1.0, (size, N))
+    ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, N)), 1e-7
+    bank = [KalmanFilter(dim_x=N, dim_z=3, dim_u=3) for _ in range(size)]
+    for i, theirs in enumerate(bank):
+        theirs.x, theirs.P = ours.s[i].copy(), ours.P[i].copy()
+        theirs.H, theirs.B = np.eye(3, N), np.eye(N, 3)
+        theirs.Q, theirs.R = np.diag(ours.q[i]), ours.r * np.eye(3)
+    for _ in range(200):
+        x = state(rng.normal(size=3) * 0.1, rng.uniform(80, 150), rng.uniform(0, 0.1), rng.normal() * 0.02)
+        ours.linearise(x.tolist(), 0.01 * rng.normal(), rng.uniform(-0.17, 0.17, (size, 3)))
+        ours.predict()
+        z = ours.s[0, :3] + 1e-3 * rng.normal(size=3)
+        for i, theirs in enumerate(bank):
+            F = np.eye(N)
+            F[:3] = ours.F_rates[i]
+            theirs.predict(u=ours.drift_step, F=F)
+            theirs.update(z)
+        assert ours.update(z)
+        for i, theirs in enumerate(bank):
+            np.testing.assert_allclose(ours.s[i], theirs.x, rtol=1e-6, atol=1e-9)
+            np.testing.assert_allclose(ours.P[i], theirs.P, rtol=1e-5, atol=1e-11)
+            assert ours.nis[i] == pytest.approx(float(theirs.y @ theirs.SI @ theirs.y), rel=1e-6)
+            constant = 1.5 * np.log(2.0 * np.pi)
+            assert ours.log_likelihood[i] - constant == pytest.approx(theirs.log_likelihood, rel=1e-6)
+    np.testing.assert_array_equal(ours.P, ours.P.transpose(0, 2, 1))
+
+
+def test_the_evidence_is_the_posterior_of_a_bank_of_models():
+    """Without forgetting, and while no sample says much, the probabilities of filterpy's multiple-model estimator."""
+    from filterpy.kalman import MMAEFilterBank
+
+    rng = np.random.default_rng(1)
+    bank = []
+    for drift in (0.0, 0.02, 0.04):
+        kf = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
+        kf.x, kf.P, kf.Q, kf.R = np.zeros(1), 0.1 * np.eye(1), 1e-3 * np.eye(1), 9.0 * np.eye(1)
+        kf.F = kf.H = np.eye(1)
+        kf.B = np.array([[drift]])
+        bank.append(kf)
+    estimator, evidence = MMAEFilterBank(bank, [1 / 3] * 3, 1, H=np.eye(1)), Evidence(3, 1.0, 1e9, 1e9)
+    for k in range(60):
+        for kf in bank:
+            kf.predict(u=np.ones(1))
+        z = np.array([0.02 * k + 2.0 * rng.normal()])
+        estimator.update(z)
+        likelihoods = [kf.log_likelihood for kf in bank]
+        assert max(likelihoods) - min(likelihoods) < Evidence.SAYS
+        evidence.weigh(likelihoods)
+    weights = np.exp(-np.array(evidence.behind))
+    np.testing.assert_allclose(weights / weights.sum(), estimator.p, rtol=1e-6)
+    assert evidence.best == int(np.argmax(estimator.p))
+
+
+def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sample_decides():
+    evidence = Evidence(3, 1.0, 10.0, 10.0)
+    assert not evidence.weigh([0.0, 0.0, 1e6])
+    assert evidence.behind == [1.0, 1.0, 0.0]
+    told = [evidence.weigh([0.0, 0.0, 4.0]) for _ in range(12)]
+    assert told.index(True) == 11  # a lead of more than 10 at the eleventh sample, held for three
+    assert (evidence.believed, evidence.best) == (2, 2)
+    assert evidence.confidence > 0.999
+    assert not any(evidence.weigh([0.0, 0.0, -1.0]) for _ in range(11))
+    assert any(evidence.weigh([5.0, 0.0, 0.0]) for _ in range(30))
+    assert evidence.believed == 0
