@@ -8,6 +8,7 @@ from runtime.identification import IncrementalModel
 from runtime.rate_filter import ALPHA_MID, SLOPES
 from runtime.structured import Effectiveness
 from runtime.switching import opposed
+from runtime.unrest import Unrest
 from task.errors import UserError
 from task.limits import DT
 from task.model import N_REGRESSORS
@@ -222,3 +223,18 @@ def test_policies_and_their_mirrors_are_opposed_and_nothing_else():
 
 def test_the_other_presets_are_as_they_were():
     assert Adaptation().effectiveness == PRESETS["thesis"].effectiveness == "none"
+
+
+def test_what_is_learnt_of_the_surfaces_before_turbulence_is_known_is_forgotten():
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    aircraft.effect[:] = 0.8  # what a gust may look like, as long as nobody knows that it is one
+    watch(found, aircraft, 3 * Unrest.LEARNING - 1)
+    assert found.effectiveness.max() < 0.9
+    assert found.believed.max() < 0.9
+    aircraft.effect[:] = 1.0
+    while not found.unrest.known:
+        watch(found, aircraft, 1)
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.01)
+    np.testing.assert_allclose(found.believed, 1.0, atol=0.01)
+    np.testing.assert_allclose(found.sd, SETTINGS.effectiveness_sd, rtol=0.2)
+    assert watch(found, aircraft, 300) == []
