@@ -16,11 +16,12 @@ from runtime.population import BehaviouralPolicy, load_population
 from runtime.reference import RecordedReference
 from runtime.session import Session, members_of
 from runtime.switching import Action, Cast, Decision, Reason
+from sim_bridge.conditions import FlightCondition
 from sim_bridge.plant import NOMINAL, Plant
 from task.actuators import ACTUATOR, HEALTHY, limited
 from task.errors import UserError
 from task.laws import seen, step
-from task.limits import DT
+from task.limits import DEFLECTION_LIMIT, DT
 from task.metrics import nmae
 from task.observation import tracking_error
 from task.reference import base_reference, random_reference
@@ -302,3 +303,36 @@ def test_who_flies_reads_filtered_rates_where_a_gyro_is_stuck(citation, plant_li
     assert error(True) < 1.2 * healthy
     # Without the filter it reads what the gyro says.
     assert error(True, "effectiveness=none") > 1.5 * healthy
+
+
+def test_a_surface_that_reverses_at_its_limit_is_found_by_moving_it_and_only_so(citation, plant_link, tmp_path):
+    """Near the stall all of the elevator is asked for when it reverses (``scenarios/reversed_at_limit.toml``)."""
+    fault, end = 1800, 2600
+    gyros = np.random.default_rng(0)
+
+    def reverse(tick, action):
+        return action * [-1.0, 1.0, 1.0] if tick >= fault else action
+
+    def noisy(tick, x):
+        x[[STATE.p, STATE.q, STATE.r]] += 6.3e-4 * gyros.standard_normal(3)
+        return x
+
+    def fly(name, *overrides):
+        link, log = plant_link(end, reverse, noisy), tmp_path / f"{name}.ulg"
+        link.plant.reset(FlightCondition(altitude=10000.0, speed=90.0))
+        rows = random_reference(np.random.default_rng(2), 40.0, float(link.plant.x[STATE.theta]), "aggressive")
+        with Session(link, citation, RecordedReference(rows), resolve("ensemble", None, overrides), log) as session:
+            return session.fly()[0], np.array(link.sent), topic(log, "effectiveness")
+
+    flown, sent, found = fly("excited")
+    assert flown.outcome is Outcome.OVER
+    assert 0 < flown.summary.pulses < 10
+    excited = np.flatnonzero(found["excited"])
+    assert fault < excited[0] < fault + 10
+    np.testing.assert_allclose(sent[excited[0], 0], np.radians(-5.0), atol=1e-6)
+    assert found["lambda_de"][fault + 50] < -0.7
+    plain, sent, found = fly("plain", "excitation=0")
+    assert plain.outcome is Outcome.LOST
+    assert plain.summary.pulses == 0
+    assert not found["excited"].any()
+    assert (sent[fault : fault + 100, 0] == -DEFLECTION_LIMIT).mean() > 0.9
