@@ -59,7 +59,7 @@ class Excitation:
             self._resting[surface] = max(self._resting[surface] - 1, 0)
         if self._left == 0:
             self._pulsed = -1
-            if found.searching:
+            if found.searching and max(self._still) >= self.STILL:
                 self._begin(found.sd.tolist())
         if self._left == 0:
             return action
