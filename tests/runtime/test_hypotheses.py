@@ -93,8 +93,8 @@ def test_slow_surfaces_are_found_and_imagined_as_such(noise, rate):
     watch(found, aircraft, 500)
     assert np.isinf(found.actuators[ACTUATOR.rate]).all()
     aircraft.rate = rate  # the commands ask for up to 0.17 rad/s
-    # With noise, surfaces almost as fast as asked are told from weak and late ones by little: of twelve seeds two are
-    # found within 2 s, eight within 3 and eleven within 4.
+    # With noise, surfaces almost as fast as asked are told from weak and late ones by little: of twelve seeds one is
+    # found within 2 s, nine within 3 and eleven within 4.
     assert watch(found, aircraft, 400 if noise and rate > 0.05 else 200)
     assert (found.actuators[ACTUATOR.rate] == 0.052).all()
     np.testing.assert_allclose(found.effectiveness[:2], 1.0, atol=0.35)
