@@ -84,7 +84,7 @@ def _fill(
     folder: Path, population: Population, prior: Prior, name: str, records: Mapping[str, Path], lag: int
 ) -> Manifest:
     np.save(folder / PARAMETERS, population.parameters, allow_pickle=False)
-    np.savez(folder / PRIOR, theta=prior.theta, p0=prior.p0)
+    np.savez(folder / PRIOR, theta=prior.theta, p0=prior.p0, learnt_at=np.array(prior.learnt_at))
     (folder / BEHAVIOUR).write_bytes(behaviour(population.network).SerializeToString())
     graph = imagination(population.network, population.parameters, lag)
     (folder / IMAGINATION).write_bytes(graph.SerializeToString())

@@ -14,6 +14,7 @@ from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.observation import observation
 from task.reference import FamilyName, random_reference
 from task.reward import terminated
+from task.scheduling import Condition
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, OBSERVATION, STATE
 
 COMMAND_LAG = 1
@@ -48,6 +49,8 @@ class Prior(NamedTuple):
     """(11, 6): rows ``task.model.REDUCED_REGRESSORS``, columns ``task.model.DYNAMIC``."""
     p0: np.ndarray
     """(11, 11): (samples E[z z'])^-1, what eqs 8.5-8.7 start from."""
+    learnt_at: Condition
+    """Mean speed and altitude of the flights."""
 
 
 def stabilising_law(s: np.ndarray, trim: np.ndarray) -> np.ndarray:
@@ -115,15 +118,17 @@ def model_prior(settings: PriorSettings | None = None, lag: int = COMMAND_LAG) -
     settings = settings or PriorSettings()
     plant = Plant()
     rng = np.random.default_rng(settings.seed)
-    flights = [
-        regression(*excited_flight(plant, rng, condition, settings), lag)
+    flown = [
+        excited_flight(plant, rng, condition, settings)
         for condition in settings.conditions
         for _ in range(settings.flights)
     ]
+    flights = [regression(states, commands, lag) for states, commands in flown]
+    V, h = np.mean([states[:, [STATE.V, STATE.h]].mean(axis=0) for states, _ in flown], axis=0).tolist()
     z = np.concatenate([f[0] for f in flights])
     y = np.concatenate([f[1] for f in flights])
     scale = np.sqrt((z**2).mean(axis=0))  # speed and angles differ by 1e3: solve in comparable units
     theta = np.linalg.lstsq(z / scale, y, rcond=None)[0] / scale[:, None]
     moment = (z / scale).T @ (z / scale) / z.shape[0]
     p0 = np.linalg.inv(moment) / np.outer(scale, scale) / settings.samples
-    return Prior(theta, 0.5 * (p0 + p0.T))
+    return Prior(theta, 0.5 * (p0 + p0.T), Condition(V, h))

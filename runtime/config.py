@@ -35,9 +35,11 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """``full`` identifies all ten states (eq. 8.2); ``reduced`` the six dynamic ones, attitude and altitude following
     from their exact kinematics."""
 
-    prior: Literal["none", "population"] = "population"
-    """``none`` starts from Theta = 0, P = p0 I; ``population`` from the model prior shipped with the population
-    (reduced model only)."""
+    prior: Literal["none", "population", "scheduled"] = "population"
+    """``none`` starts from Theta = 0, P = p0 I; ``population`` from the model prior shipped with the population, which
+    is of one trim; ``scheduled`` takes that to the speed, height and attitude of each imagination by the population's
+    rate model (``task.scheduling``), and learns nothing: ``identify`` must be false. The last two for the reduced model
+    only."""
 
     p0: Positive = 1e12
     """Scale of the identity that P starts from without a prior [1/unit^2]. The thesis gives no number. Increments at
@@ -260,8 +262,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if len(set(self.laws)) < len(self.laws):
             raise ValueError(f"laws: expected each at most once, got {list(self.laws)}")
-        if self.prior == "population" and self.model == "full":
-            raise ValueError("prior = 'population' needs model = 'reduced'; set prior = 'none'")
+        if self.prior != "none" and self.model == "full":
+            raise ValueError(f"prior = {self.prior!r} needs model = 'reduced'; set prior = 'none'")
+        if self.prior == "scheduled" and self.identify:
+            raise ValueError("prior = 'scheduled' needs identify = false; to learn Theta set prior = 'population'")
         if self.effectiveness == "structured" and self.model == "full":
             raise ValueError("effectiveness = 'structured' needs model = 'reduced'")
 
@@ -323,6 +327,7 @@ PRESETS: dict[str, Adaptation] = {
     "structured": Adaptation(
         effectiveness="structured",
         identify=False,
+        prior="scheduled",
         excitation=math.radians(5.0),
         head_start=4.0,
         head_start_short=1.0,
@@ -333,6 +338,7 @@ PRESETS: dict[str, Adaptation] = {
     "ensemble": Adaptation(
         effectiveness="structured",
         identify=False,
+        prior="scheduled",
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
         bandwidths=(1.0,),
@@ -348,7 +354,8 @@ PRESETS: dict[str, Adaptation] = {
     ),
 }
 """``ensemble`` is the recommended one for a cast bred for hard faults: the surfaces' signed effectiveness and the delay
-of the commands are found, laws and networks are one cast, and the model stays at the population's prior otherwise.
+of the commands are found, laws and networks are one cast, and the model is the healthy aircraft's where it flies
+otherwise.
 ``structured`` is the same with the networks alone. ``understudy`` is the mended recipe of chapter 8, for ideal sensors:
 with noisy ones raw increments tell nothing. ``thesis`` is chapter 8 read literally: ten states, Theta = 0, t_play = t_h
 = 2 s, 50 % of |R_incumbent|, rho = 0.05; p0, kappa and the meaning of 50 % for negative returns are our reading."""

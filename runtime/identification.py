@@ -16,8 +16,16 @@ from runtime.structured import Effectiveness
 from task.actuators import HEALTHY
 from task.errors import UserError
 from task.limits import DT
-from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced, kinematic_rates
+from task.model import (
+    DYNAMIC,
+    N_REGRESSORS,
+    REDUCED_REGRESSORS,
+    embed_reduced,
+    kinematic_rates,
+    with_effectiveness,
+)
 from task.rates import RateModel
+from task.scheduling import Condition, scheduled
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
 
@@ -118,6 +126,7 @@ class IncrementalModel:
     ``command_lag`` L: the command a[k] first moves x[k+1+L] - x[k+L], so dx[k] is explained by
     dx[k-1] and a[k-1-L] - a[k-2-L], where dx[k] = x[k] - x[k-1].
     ``max_delay``: the longest delay beyond it that the imagination can carry [samples].
+    ``theta0``, ``p0`` and ``learnt_at``: the population's prior, and the flight condition that it is of.
     """
 
     def __init__(
@@ -129,6 +138,7 @@ class IncrementalModel:
         dt: float = DT,
         rates: RateModel | None = None,
         max_delay: int = 0,
+        learnt_at: Condition | None = None,
     ) -> None:
         self.settings = settings
         self.command_lag = command_lag
@@ -164,6 +174,15 @@ class IncrementalModel:
                     "export it again, or --set effectiveness=none"
                 )
             self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
+        self._schedule: tuple[Condition, RateModel] | None = None
+        """Where the prior is from, and what takes it elsewhere; None where Theta is imagined as it is."""
+        if settings.prior == "scheduled":
+            if rates is None or learnt_at is None:
+                raise UserError(
+                    "prior = 'scheduled', but the population brings no rate model; "
+                    "export it again, or --set prior=population"
+                )
+            self._schedule = learnt_at, rates
         self.restart_history()
 
     def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +190,9 @@ class IncrementalModel:
         if self.settings.prior == "none":
             return np.zeros(shape), self.settings.p0 * np.eye(shape[0])
         if theta0 is None or p0 is None:
-            raise UserError("prior = 'population', but the population brings no model prior; --set prior=none")
+            raise UserError(
+                f"prior = {self.settings.prior!r}, but the population brings no model prior; --set prior=none"
+            )
         if theta0.shape != shape or p0.shape != (shape[0], shape[0]):
             raise UserError(
                 f"model prior: expected theta {shape} and p0 {(shape[0],) * 2}, got {theta0.shape} and {p0.shape}"
@@ -251,18 +272,26 @@ class IncrementalModel:
     def snapshot(self) -> Identified:
         """Return what was learnt so far; call it between :meth:`observe` and :meth:`command`."""
         theta = self.rls.Theta
-        model = (embed_reduced(theta) if self.exact_kinematics else theta).astype(np.float32)
+        model = embed_reduced(theta) if self.exact_kinematics else theta
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
         delay, commands, actuators = 0, self._history.latest(), HEALTHY
+        if self.effectiveness is not None and self.effectiveness.known:
+            self.effectiveness.smooth(x, dx)
+        if self._schedule is not None:
+            learnt_at, rates = self._schedule
+            acting = self._slots[-1] if self.effectiveness is None else self.effectiveness.acting
+            model = scheduled(model, learnt_at, rates, x, acting, self._dt)
         if self.effectiveness is not None:
-            self.effectiveness.impose(x, dx, model)
+            model = with_effectiveness(model, self.effectiveness.mixing)
             if self.exact_kinematics:  # differences of noisy angles would be rates that are not there
                 dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
             delay = min(self.effectiveness.delay_samples, self.max_delay)
             actuators = self.effectiveness.actuators
             if not delay:
                 commands[-self.command_lag - 1 :] = self.effectiveness.followed()
-        return Identified(x, dx, commands, delay, model, self.exact_kinematics, actuators.astype(np.float32))
+        return Identified(
+            x, dx, commands, delay, model.astype(np.float32), self.exact_kinematics, actuators.astype(np.float32)
+        )
 
 
 def _wrap(dx: np.ndarray, angle: int) -> None:

@@ -19,6 +19,7 @@ from task.laws import N_MEMORY, N_SEEN
 from task.model import DYNAMIC, N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced
 from task.observation import observation
 from task.rates import RATE_MODEL_VERSION, RateModel, shapes
+from task.scheduling import Condition
 from task.state import N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE
 
 MANIFEST = "manifest.json"
@@ -52,6 +53,8 @@ class Population(NamedTuple):
     """(11, 6): prior of the reduced incremental model."""
     p0: np.ndarray
     """(11, 11): its uncertainty."""
+    learnt_at: Condition
+    """Flight condition that the prior is of."""
     sha256: str
     """Hash of the manifest, and so of everything: which cast flew."""
     rates: RateModel | None = None
@@ -132,7 +135,7 @@ def load_population(folder: Path) -> Population:
             f"got {parameters.dtype} {parameters.shape}; export the population again"
         )
     parameters.setflags(write=False)
-    theta, p0 = _prior(contents[PRIOR], folder / PRIOR)
+    theta, p0, learnt_at = _prior(contents[PRIOR], folder / PRIOR)
     population = Population(
         manifest,
         parameters,
@@ -140,6 +143,7 @@ def load_population(folder: Path) -> Population:
         contents[IMAGINATION],
         theta,
         p0,
+        learnt_at,
         hashlib.sha256(raw).hexdigest(),
         _rates(_verified(folder, RATES, manifest), folder / RATES) if RATES in manifest.files else None,
         _verified(folder, LAWS, manifest) if LAWS in manifest.files else None,
@@ -187,16 +191,21 @@ def _array(content: bytes, path: Path) -> np.ndarray:
         raise UserError(f"{path}: not a plain .npy array: {_one_line(error)}") from None
 
 
-def _prior(content: bytes, path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _prior(content: bytes, path: Path) -> tuple[np.ndarray, np.ndarray, Condition]:
     n, m = len(REDUCED_REGRESSORS), len(DYNAMIC)
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             theta, p0 = np.asarray(arrays["theta"], float), np.asarray(arrays["p0"], float)
+            learnt_at = Condition(*np.asarray(arrays["learnt_at"], float).tolist())
     except Exception as error:  # zip, npy and key errors share no base
-        raise UserError(f"{path}: expected arrays theta and p0: {_one_line(error)}") from None
+        raise UserError(
+            f"{path}: expected arrays theta, p0 and learnt_at (V, h): {_one_line(error)}; export the population again"
+        ) from None
+    if not all(np.isfinite(learnt_at)) or learnt_at.V <= 0.0:
+        raise UserError(f"{path}: learnt_at: expected speed > 0 [m/s] and altitude [m], got {tuple(learnt_at)}")
     if theta.shape != (n, m) or p0.shape != (n, n) or not (np.isfinite(theta).all() and np.isfinite(p0).all()):
         raise UserError(f"{path}: expected finite theta {(n, m)} and p0 {(n, n)}, got {theta.shape} and {p0.shape}")
-    return theta, p0
+    return theta, p0, learnt_at
 
 
 def probe(population: Population, count: int = 32, seed: int = 0) -> np.ndarray:

@@ -87,7 +87,7 @@ class Session:
         )  # fmt: skip
         self._model = IncrementalModel(
             adaptation, population.command_lag, population.theta, population.p0, operation.dt,
-            cast.rates if cast else None, cast.max_delay if cast else 0,
+            cast.rates if cast else None, cast.max_delay if cast else 0, cast.learnt_at if cast else None,
         )  # fmt: skip
         self._guard = Guard(operation)
         self._horizon = round(adaptation.horizon / operation.dt)

@@ -20,7 +20,6 @@ from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
 from task.actuators import ACTUATOR
 from task.limits import DT
-from task.model import with_effectiveness
 from task.rates import KNEE, RATES, RateModel, washout
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
@@ -271,16 +270,17 @@ class Effectiveness:
         np.subtract(inputs.u[believed], inputs.before[believed], out=out)
         np.multiply(out, self.believed, out=out)
 
-    def impose(self, x: np.ndarray, dx: np.ndarray, model: np.ndarray) -> None:
-        """Change a snapshot to what the filter knows: x (10,), dx (10,) and model (13, 10), all in place.
+    @property
+    def acting(self) -> np.ndarray:
+        """Return the healthy deflections (3,) [rad] that would do what the surfaces are believed to do now."""
+        return self.mixing @ self.followed()[-1]
 
-        A surface that works lambda times as well does so in every equation, so that whole rows of G are multiplied; a
-        crossed one has another's row. The rates and their increments, which start the imagined flight, come from the
-        filter: raw differences of noisy gyros would be accelerations that are not there.
+    def smooth(self, x: np.ndarray, dx: np.ndarray) -> None:
+        """Put the filter's rates and their increments into a state (10,) and its increment (10,), in place.
+
+        They start the imagined flight: raw differences of noisy gyros would be accelerations that are not there.
         """
-        model[:] = with_effectiveness(model, self.mixing)
-        if self.known:
-            x[W], dx[W] = self.rates, self.increment
+        x[W], dx[W] = self.rates, self.increment
 
     def mended(self, x: np.ndarray) -> np.ndarray:
         """Return the state (>= 10,) with the filter's rates in place of those that are stuck."""

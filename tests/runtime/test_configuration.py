@@ -32,6 +32,7 @@ def test_what_is_saved_is_what_was_resolved():
         (("kappa=fast",), "kappa"),
         (("switch=sometimes",), "switch"),
         (("model=full",), "prior = 'population'"),
+        (("prior=scheduled",), "prior = 'scheduled' needs identify = false"),
         (("horizon=-1",), "horizon"),
     ],
 )

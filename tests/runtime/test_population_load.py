@@ -80,8 +80,9 @@ def odd_parameters(folder):
     rehash(folder, "parameters.npy")
 
 
-def odd_prior(folder):
-    np.savez(folder / "model_prior.npz", theta=np.zeros((13, 10)), p0=np.eye(13))
+def prior(folder, **changes):
+    arrays = {"theta": np.zeros((11, 6)), "p0": np.eye(11), "learnt_at": [90.0, 2000.0]} | changes
+    np.savez(folder / "model_prior.npz", **{name: each for name, each in arrays.items() if each is not None})
     rehash(folder, "model_prior.npz")
 
 
@@ -130,7 +131,18 @@ SPOILS = {
         lambda f: forge(f, "parameters.npy", b"\x80\x04}."),
         "parameters.npy: not a plain .npy array",
     ),
-    "prior shape": (odd_prior, r"model_prior.npz: expected finite theta \(11, 6\)"),
+    "prior shape": (
+        lambda f: prior(f, theta=np.zeros((13, 10)), p0=np.eye(13)),
+        r"model_prior.npz: expected finite theta \(11, 6\)",
+    ),
+    "prior of nowhere": (
+        lambda f: prior(f, learnt_at=None),
+        "model_prior.npz: expected arrays .* export the population",
+    ),
+    "prior at rest": (
+        lambda f: prior(f, learnt_at=[0.0, 2000.0]),
+        r"learnt_at: expected speed > 0 .* got \(0.0, 2000.0",
+    ),
     "prior is no zip": (lambda f: forge(f, "model_prior.npz", b"zip"), "model_prior.npz: expected arrays theta"),
     "prior layout": (lambda f: edit(f, "model_prior.outputs.0", "q"), "model_prior.outputs: expected"),
 }

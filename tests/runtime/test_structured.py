@@ -1,5 +1,6 @@
 """The effectiveness of the surfaces: alarm, belief, noise, and what the imagination gets."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -177,7 +178,8 @@ def test_nothing_is_allocated_in_flight_that_stays():
 
 def test_the_imagination_gets_signed_rows_of_g_and_rates_without_noise():
     theta = np.ones((11, 6))
-    model = IncrementalModel(SETTINGS, 1, theta, np.eye(11), rates=MODEL)
+    settings = msgspec.structs.replace(SETTINGS, prior="population")
+    model = IncrementalModel(settings, 1, theta, np.eye(11), rates=MODEL)
     aircraft = Aircraft(noise=6.3e-4)
     increments = []
     for k in range(400):
@@ -203,6 +205,9 @@ def test_the_imagination_gets_signed_rows_of_g_and_rates_without_noise():
 def test_a_population_without_a_rate_model_is_refused_in_one_line():
     with pytest.raises(UserError, match="the population brings no rate model; export it again"):
         IncrementalModel(SETTINGS, 1, np.zeros((11, 6)), np.eye(11))
+    alone = Adaptation(prior="scheduled", identify=False)
+    with pytest.raises(UserError, match="prior = 'scheduled', but the population brings no rate model"):
+        IncrementalModel(alone, 1, np.zeros((11, 6)), np.eye(11))
     with pytest.raises(UserError, match="needs model = 'reduced'"):
         resolve("thesis", None, ("effectiveness=structured",))
 
