@@ -97,11 +97,12 @@ peers: setup-dev ## The classical laws on faults, noise and latency, into result
 decision: setup-dev ## What it is worth that the imagination carries the delay of the commands, into results/
 	$(BIN)/python -m bench.decision $(ARGS)
 
-bench: setup-dev ## Cost of cycle, link and imagination beside their peers, as ratios; the rate model's error
+bench: setup-dev ## Cost of cycle, link and imagination beside their peers, as ratios; the models' errors
 	$(BIN)/python -m bench.cycle
 	$(BIN)/python -m bench.link
 	$(BIN)/python -m bench.imagination
 	$(BIN)/python -m bench.rate_model
+	$(BIN)/python -m bench.scheduling
 
 bench-train: setup-dev ## Training speed beside a straightforward implementation
 	$(BIN)/python -m bench.train

@@ -14,14 +14,15 @@ import numpy as np
 from runtime.config import Adaptation
 from runtime.structured import Effectiveness
 from task.limits import DEFLECTION_LIMIT, DT
-from task.state import N_ACTION
+from task.state import ACTION, N_ACTION
 
 
 class Excitation:
     """Adds pulses to what the policy asks for: after an alarm, on a surface at its limit whose lambda is unsure.
 
     One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then nothing for
-    ``REST`` on that surface.
+    ``REST`` on that surface. Near the stall an elevator that is believed to hold the nose down is left alone: with the
+    centre of gravity far aft all of it is needed, and a pulse would take some away.
     """
 
     AT_LIMIT = 0.98
@@ -60,7 +61,10 @@ class Excitation:
         if self._left == 0:
             self._pulsed = -1
             if found.searching and max(self._still) >= self.STILL:
-                self._begin(found.sd.tolist())
+                sd = found.sd.tolist()
+                if found.near_stall and asked[ACTION.de] * found.believed[ACTION.de] > 0.0:
+                    sd[ACTION.de] = 0.0
+                self._begin(sd)
         if self._left == 0:
             return action
         self._left -= 1

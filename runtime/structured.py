@@ -209,6 +209,11 @@ class Effectiveness:
         return self.known and self._open_at <= self._since < self._watched_until
 
     @property
+    def near_stall(self) -> bool:
+        """Whether the angle of attack was last seen beyond the knee of the lift curve."""
+        return self._states > 0 and self._x[STATE.alpha] > KNEE
+
+    @property
     def known(self) -> bool:
         """Whether the filters run: they have two samples without a gap."""
         return self._states > 1 and self._inputs.known

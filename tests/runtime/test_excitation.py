@@ -20,6 +20,7 @@ class Found:
 
     def __init__(self, *sd):
         self.searching, self.sd = True, np.array(sd)
+        self.near_stall, self.believed = False, np.ones(3)
 
 
 def asked(excitation, action, samples):
@@ -66,6 +67,17 @@ def test_one_surface_at_a_time_the_elevator_first():
 )
 def test_otherwise_what_is_asked_for_stays_as_it_is(why, settings, found, action):
     np.testing.assert_array_equal(asked(Excitation(settings, found), action, 40), np.tile(action, (40, 1)), why)
+
+
+@pytest.mark.parametrize(("command", "effect"), [(1.0, 1.0), (-1.0, -1.0)])
+def test_near_the_stall_an_elevator_that_holds_the_nose_down_is_left_alone(command, effect):
+    found, limit = Found(1.0, 0.0, 0.0), DEFLECTION_LIMIT * np.array([command, 0.0, 0.0])
+    found.believed[0], found.near_stall = effect, True
+    np.testing.assert_array_equal(asked(Excitation(SETTINGS, found), limit, 40), np.tile(limit, (40, 1)))
+    found.believed[0] *= -1.0
+    assert asked(Excitation(SETTINGS, found), limit, 40).std() > 0.0
+    found.believed[0], found.near_stall = effect, False
+    assert asked(Excitation(SETTINGS, found), limit, 40).std() > 0.0
 
 
 def test_without_an_alarm_there_is_no_pulse():

@@ -8,7 +8,9 @@ from runtime.config import Adaptation
 from runtime.identification import IncrementalModel, RecursiveLeastSquares
 from task.errors import UserError
 from task.model import N_REGRESSORS, REDUCED_REGRESSORS, embed_reduced, predict_increment
+from task.scheduling import Condition, scheduled
 from task.state import N_IDENTIFIED, STATE
+from tests.runtime.rate_aircraft import MODEL, state
 
 THESIS = Adaptation(model="full", prior="none")
 
@@ -182,6 +184,21 @@ def test_a_frozen_model_measures_its_innovation_and_learns_nothing():
         model.command(rng.normal(size=3))
     assert np.array_equal(model.rls.Theta, theta)
     assert np.abs(model.rls.innovation).max() > 0.0
+
+
+def test_a_scheduled_prior_is_imagined_where_the_aircraft_flies_and_never_learnt():
+    theta, learnt_at = 0.01 * np.random.default_rng(2).normal(size=(11, 6)), Condition(90.0, 2000.0)
+    settings = Adaptation(prior="scheduled", identify=False)
+    model = IncrementalModel(settings, 1, theta, np.eye(11), rates=MODEL, learnt_at=learnt_at)
+    x = state(w=(0.01, 0.02, 0.03), V=150.0, alpha=0.03, h=5000.0)
+    command = np.array([0.02, -0.01, 0.0])
+    for _ in range(5):
+        model.observe(x)
+        model.command(command)
+    model.observe(x)
+    expected = scheduled(embed_reduced(theta), learnt_at, MODEL, x, command)
+    np.testing.assert_allclose(model.snapshot().model, expected, rtol=1e-5, atol=1e-8)
+    assert np.array_equal(model.rls.Theta, theta)
 
 
 def test_a_prior_that_is_missing_or_misshapen_is_one_line():
