@@ -79,6 +79,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """The best member replaces the incumbent if its return R beats R_incumbent by margin * |R_incumbent|. Returns are
     negative: a margin of 0.5 asks the new member to lose at most half of what the incumbent is predicted to lose."""
 
+    margin_trusted: NotNegative | None = None
+    """The same where the imagination is trusted more [-]: while a surface is believed to stop short of its commands or
+    to do next to nothing, and for coming back to the member that flies first. Unset: ``margin``."""
+
     head_start: NotNegative = 0.0
     """Return by which the member that flies first is taken to be better than it is imagined [-; a sample's is between 0
     and -1]. Where all fly closely a share of next to nothing is chance; and who was good so far is trusted beyond what
@@ -342,6 +346,8 @@ PRESETS: dict[str, Adaptation] = {
         laws=("indi-rls-signfree", "pid"),
         first="indi-rls-signfree",
         bandwidths=(1.0,),
+        margin=0.5,
+        margin_trusted=0.1,
         excitation=math.radians(5.0),
         head_start=15.0,
         head_start_short=0.5,

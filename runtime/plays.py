@@ -148,7 +148,15 @@ class Plays:
         returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief, memory)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
         decision = decide(
-            returns, self._cast.flying, age, settings, since_switch, overtaken, self._cast.first, head_start
+            returns,
+            self._cast.flying,
+            age,
+            settings,
+            since_switch,
+            overtaken,
+            self._cast.first,
+            head_start,
+            self._short,
         )
         decision = self._careful(decision, tick)
         if decision.action is not Action.KEEP:

@@ -107,6 +107,18 @@ HARD, QUIET = [-40.0, -20.0, -90.0, -90.0], [-1.0, -2.0, -90.0, -90.0]
 """What "good", "lazy" and the others are foretold in a hard moment and in a quiet one."""
 
 
+def foretell(population, settings, short, foretold, flying):
+    """Return what comes of returns that are foretold, while a surface is believed to stop short or not."""
+    flight = Flight(population, None, settings, flying)
+    flight.cast.first = MEMBERS.index("good")
+    found = SimpleNamespace(short=short, believed=np.ones(3), evidence=SimpleNamespace(believed=0))
+    model = SimpleNamespace(alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=found)
+    plays = flight.plays
+    plays._model, plays._snapshot = model, lambda t: None
+    plays._imagination = Foretold([*row, row[MEMBERS.index(flying)]] for row in foretold)
+    return [played for tick in range(100) if (played := plays.step(tick, tick * DT))]
+
+
 @pytest.mark.parametrize(
     ("short", "foretold", "flying", "expected"),
     [
@@ -125,12 +137,12 @@ def test_the_head_start_is_small_and_the_memory_long_while_a_surface_stops_short
     settings = msgspec.structs.replace(
         SETTINGS, head_start=25.0, head_start_short=0.5, forecast_time=0.01, forecast_time_short=3.0
     )
-    flight = Flight(population, None, settings, flying)
-    flight.cast.first = MEMBERS.index("good")
-    found = SimpleNamespace(short=short, believed=np.ones(3), evidence=SimpleNamespace(believed=0))
-    model = SimpleNamespace(alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=found)
-    plays = flight.plays
-    plays._model, plays._snapshot = model, lambda t: None
-    plays._imagination = Foretold([*row, row[MEMBERS.index(flying)]] for row in foretold)
-    played = [played for tick in range(100) if (played := plays.step(tick, tick * DT))]
+    played = foretell(population, settings, short, foretold, flying)
     assert [MEMBERS[played[-1].decision.member]] == expected
+
+
+@pytest.mark.parametrize(("short", "reason"), [(False, Reason.MARGIN), (True, Reason.BETTER)])
+def test_the_margin_is_another_while_a_surface_stops_short(population, short, reason):
+    settings = msgspec.structs.replace(SETTINGS, margin=0.5, margin_trusted=0.1)
+    played = foretell(population, settings, short, [[-10.0, -7.0, -90.0, -90.0]], "good")
+    assert played[-1].decision.reason == reason
