@@ -14,6 +14,7 @@ import numpy as np
 from runtime.alarm import Alarm
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
+from runtime.opening import Opening, Recollection
 from runtime.ranges import Ranges
 from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
 from runtime.stuck import Stuck, turning
@@ -39,15 +40,10 @@ class Effectiveness:
     """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
     UNKNOWN = 0.25
     """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
-    CALM = 5.0
-    """So long after the filters have closed nothing has changed lately [s]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
     STEADY = 0.1
     """Of the doubt about the bias when the filters open, where only a range is looked for."""
-    LONG_AGO = 1.0
-    """Filters that look for a range start from what was known so long before the alarm [s]: a surface that does not
-    come back from its limit is soon taken for one that does little."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
@@ -65,19 +61,12 @@ class Effectiveness:
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
         self.ranges = Ranges(self.filter, self._limited) if settings.ranges else None
         self._dt = dt
-        self._open_at = max(round(settings.open_after / dt), 1)
-        self._close_at = self._open_at + max(round(settings.open_time / dt), 1)
-        self._hold = round(settings.alarm_hold / dt)
-        self._watched_until = round(settings.watch / dt)
-        self._calm_at = self._close_at + round(self.CALM / dt)
         self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
         self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
         self._least_q_bias = np.square(settings.q_bias).tolist()
-        self._back_by = max(round(settings.recall / dt), 1)
-        self._recent = np.zeros((max(round(self.LONG_AGO / dt), self._back_by), N))
-        """The believed filter's states of the last samples, in a ring."""
-        self._recalled, self._long_ago, self._believed_before = np.zeros(N), np.zeros(N), np.ones(N_ACTION)
+        self._believed_before = np.ones(N_ACTION)
         self.alarm = Alarm(settings, dt)
+        self._opening, self._past = Opening(settings, dt), Recollection(settings, dt)
         self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
         self.stuck = Stuck(dt)
@@ -107,7 +96,7 @@ class Effectiveness:
         self.alarm.shift.restart([0.0] * RATES)
         self.alarm.clear()
         self.alarms = self.restarts = 0
-        self._since = max(self._close_at + self._hold, self._watched_until)
+        self._opening.reset()
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -206,7 +195,7 @@ class Effectiveness:
     @property
     def searching(self) -> bool:
         """Whether an alarm has opened the filters, less than ``watch`` ago."""
-        return self.known and self._open_at <= self._since < self._watched_until
+        return self.known and self._opening.searching
 
     @property
     def near_stall(self) -> bool:
@@ -316,7 +305,7 @@ class Effectiveness:
         drift = f.drift_step.tolist()
         opened = self._q is self._q_open
         share = (self.settings.model_error_open if opened else self.settings.model_error) / self._dt
-        low = LOW_KNEE - x[STATE.alpha] if self._since > self._calm_at else 0.0
+        low = LOW_KNEE - x[STATE.alpha] if self._opening.calm else 0.0
         near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, low, 0.0)) ** 2
         f.q[:, B] = [
             least * level * near_stall + (share * (new - old)) ** 2
@@ -350,9 +339,9 @@ class Effectiveness:
             surprise = p, q, r
         self.unrest.feel(surprise)
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
-        if not self.unrest.known or self._since < self._open_at:
+        if not self.unrest.known or self._opening.pending:
             alarm.clear()
-        elif evidence.weigh(self._told(), self._since < self._close_at):
+        elif evidence.weigh(self._told(), self._opening.under_way):
             self.alarmed = True
             alarm.clear()
             np.copyto(self.believed, self.effectiveness)
@@ -384,11 +373,11 @@ class Effectiveness:
 
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
-        settings, f, alarm = self.settings, self.filter, self.alarm
+        settings, f, alarm, opening = self.settings, self.filter, self.alarm, self._opening
         explained = min(f.nis[self.evidence.best], f.nis[self.evidence.believed])
-        self._since += 1
-        if self._since == self._open_at:
-            f.s[:] = self._recalled
+        opening.step()
+        if opening.opens:
+            f.s[:] = self._past.recalled
             f.s[:, W] = w
             self._spread(settings.effectiveness_sd_open, settings.open_slopes)
             for surface, axis in enumerate(AXIS):
@@ -398,7 +387,7 @@ class Effectiveness:
                 self._look_for_ranges(self.ranges)
             self._q = self._q_open
             self.evidence.forget()
-        elif self._since == self._close_at:
+        elif opening.closes:
             self._q = self._q_quiet
             if self.ranges:
                 self.ranges.close()
@@ -406,29 +395,26 @@ class Effectiveness:
             self._start_anew(settings.effectiveness_sd)
             self.believed[:] = 1.0
             f.s[:, W] = w
-        if self._since > self._close_at and self.unrest.known:
+        if opening.closed and self.unrest.known:
             alarm.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
         else:
             alarm.shift.restart(self.bias.tolist())
-        now = self._states % len(self._recent)
-        if alarm.sounds(explained, self.unrest.levels) and self.unrest.known and self._since > self._hold:
+        if alarm.sounds(explained, self.unrest.levels) and self.unrest.known and opening.may_begin:
             self.alarmed = True
             self.alarms += 1
             alarm.clear()
-            self._since = 0
-            np.copyto(self._recalled, self._recent[now - self._back_by])
-            np.copyto(self._long_ago, self._recent[now])
+            opening.begin()
+            self._past.recall(self._states)
             np.copyto(self._believed_before, self.believed)
-        np.copyto(self._recent[now], f.s[self.evidence.believed])
-        self._recent[now, LAMBDA] = self.effectiveness
+        self._past.keep(self._states, f.s[self.evidence.believed], self.effectiveness)
 
     def _look_for_ranges(self, ranges: Ranges) -> None:
         """Open the filters that look for a range: nothing but it has changed."""
         f, sd = self.filter, self.settings.effectiveness_sd
         rows = slice(self._limited, self._agile)
-        f.s[rows, RATES:] = self._long_ago[RATES:]
+        f.s[rows, RATES:] = self._past.long_ago[RATES:]
         f.variances[rows, LAMBDA], f.variances[rows, SLOPES] = sd**2, 0.0
-        works = self._long_ago[LAMBDA].tolist()
+        works = self._past.long_ago[LAMBDA].tolist()
         for surface, each in enumerate(works):
             if abs(each) >= Ranges.WORKS:
                 f.variances[self._limited + surface, B] *= self.STEADY**2
@@ -446,14 +432,14 @@ class Effectiveness:
         """Undo what was learnt since a sensor stopped, and the opening that it may have asked for."""
         f = self.filter
         now = f.s[:, W].copy()
-        if self._since < self._close_at:
-            f.s[:], self.believed[:] = self._recalled, self._believed_before
-            if self._since >= self._open_at:
+        if self._opening.under_way:
+            f.s[:], self.believed[:] = self._past.recalled, self._believed_before
+            if not self._opening.pending:
                 self._spread(self.settings.effectiveness_sd)
                 self._q = self._q_quiet
-            self._since = self._close_at
+            self._opening.cut_short()
         else:
-            f.s[:] = self._recent[self._states % len(self._recent) - self._back_by]
+            f.s[:] = self._past.before(self._states)
         f.s[:, W] = now
         if self.ranges:
             self.ranges.restore()
