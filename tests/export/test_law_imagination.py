@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 
@@ -22,6 +21,7 @@ from task.model import embed_reduced, predict_increment, with_effectiveness
 from task.reference import random_reference
 from task.reward import CRASH_COST_PER_FRAME, REWARD_SCALE
 from task.state import ACTION, N_ACTION, REFERENCE, STATE
+from tests.export.transcription import session
 
 ROWS, COLUMNS = N_ACTION + N_MEMORY, N_MEMORY + N_SEEN
 TOLERANCE = 2e-4
@@ -30,30 +30,9 @@ TRIM = -0.025
 GIVEN = ("x", "dx", "commands", "reference", "actuators")
 
 
-def session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    return onnxruntime.InferenceSession(model.SerializeToString(), options)
-
-
 @pytest.fixture(scope="module")
 def graphs() -> dict[int, onnxruntime.InferenceSession]:
     return {lag: session(law_imagination(lag)) for lag in (0, 1, 3)}
-
-
-@pytest.fixture(scope="module")
-def nominal_model(short_prior) -> np.ndarray:
-    return embed_reduced(short_prior.theta)
-
-
-@pytest.fixture(scope="module")
-def full_model(nominal_model) -> np.ndarray:
-    """A model of all ten states whose attitude follows the rates, as least squares would find it."""
-    model = nominal_model.copy()
-    model[:3, 6:9] = DT * np.eye(3)
-    model[6:9, 6:9] = 0.02 * np.eye(3)
-    model[3:5, 9] = 0.01, -0.3
-    return model
 
 
 class Question:
