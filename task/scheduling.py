@@ -21,8 +21,8 @@ from task.state import ACTION, N_ACTION, N_IDENTIFIED, STATE
 STEPS = (0.01, 0.01, 0.01, 0.5, 0.03, 0.005)
 """Half the width over which the slopes in p, q, r, V, alpha and beta are taken [rad/s, m/s, rad]. In alpha, at
 ``STEPS_AT``, it is what a manoeuvre covers, and goes with 1/qbar as the angle for a load factor does: near the stall,
-where the pitching moment's slope changes from one half degree to the next, pitch is foretold a third better than with
-0.3 deg (``bench.scheduling``)."""
+where the pitching moment's slope changes from one half degree to the next, pitch 4 s ahead is foretold a third better
+than with 0.3 deg."""
 STEPS_AT = 4077.0
 """qbar of 90 m/s at 2000 m [Pa]."""
 LEAST_SPEED = 10.0

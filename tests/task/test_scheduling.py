@@ -95,7 +95,7 @@ def error_ahead(
     states, commands = flight
     errors = []
     for k in range(200, len(commands) - HORIZON - 2, 100):
-        model = theta_at(states[k], commands[k - 1 - COMMAND_LAG])
+        model = theta_at(states[k], commands[k - COMMAND_LAG])
         x, dx = states[k].copy(), states[k] - states[k - 1]
         for t in range(k, k + HORIZON):
             da = commands[t - COMMAND_LAG] - commands[t - COMMAND_LAG - 1]
