@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -76,6 +76,22 @@ class Prediction(NamedTuple):
     """Wall time that it took."""
     error: str = ""
     """Why it failed, in one line; empty when it did not."""
+
+
+class Imagines(Protocol):
+    """Whom a session asks what comes of each member; the newest question counts."""
+
+    def request(self, snapshot: Snapshot, tick: int) -> None:
+        """Take a question about the state of ``tick``."""
+
+    def result(self, tick: int) -> Prediction | None:
+        """Return the answer to the question asked at ``tick`` if it is there; never waits."""
+
+    def wait(self, tick: int) -> Prediction | None:
+        """Wait for the answer to the question asked at ``tick``; None when there is none."""
+
+    def close(self) -> None:
+        """End what was begun."""
 
 
 class _Buffers:

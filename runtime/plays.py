@@ -10,7 +10,7 @@ from runtime.config import Adaptation
 from runtime.ensemble import Ensemble
 from runtime.forecast import Forecast, belief
 from runtime.identification import IncrementalModel
-from runtime.imagination import Imagination, Snapshot
+from runtime.imagination import Imagines, Snapshot
 from runtime.reference import Reference
 from runtime.switching import REASONS, Action, Cast, Decision, Reason, decide
 
@@ -53,7 +53,7 @@ class Plays:
 
     def __init__(
         self,
-        imagination: Imagination,
+        imagination: Imagines,
         model: IncrementalModel,
         cast: Cast,
         reference: Reference,

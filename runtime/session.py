@@ -15,7 +15,7 @@ from runtime.ensemble import Ensemble
 from runtime.excitation import Excitation
 from runtime.guard import UNUSABLE, Guard, describe
 from runtime.identification import IncrementalModel
-from runtime.imagination import Imagination, Snapshot
+from runtime.imagination import Imagination, Imagines, Snapshot
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.laws.solo import NoPlays, Solo
 from runtime.link import Link, Sample, Severity
@@ -96,7 +96,9 @@ class Session:
             settings = load_settings()
             laws = [make_law(name, settings, operation.dt) for name in adaptation.laws]
             self._policy = self._ensemble = Ensemble(self._policy, laws, self._cast, self._model)
-        self._imagination = None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
+        self._imagination: Imagines | None = (
+            None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
+        )
         self._real_time: list[str] = []
         self._rehearse()
 
@@ -119,6 +121,16 @@ class Session:
             Snapshot(**identified._asdict(), reference=reference, incumbent=self._cast.live, laws=laws), 0
         )
         self._imagination.wait(0)
+
+    def imagine_in(self, make: Callable[[Policy, Cast, IncrementalModel, Guard], Imagines]) -> None:
+        """Ask somebody else than the population's graphs, made from what flies, what comes of the members.
+
+        A yardstick for them: they are what there is on board. Only before :meth:`fly`, and where there is a cast.
+        """
+        if self._imagination is None:
+            raise ValueError("imagine_in: a law that flies alone imagines nothing")
+        self._imagination.close()
+        self._imagination = make(self._policy, self._cast, self._model, self._guard)
 
     def fly(self) -> list[Flown]:
         """Wait for the first state, and fly until there is no next flight; return every flight flown.

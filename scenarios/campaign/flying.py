@@ -16,11 +16,12 @@ from runtime.laws.solo import Solo
 from runtime.link import LOST, OVER, Sample
 from runtime.population import Population
 from runtime.reference import RecordedReference
-from runtime.session import Session
+from runtime.session import Session, members_of
 from scenarios.campaign.alone import Laws
 from scenarios.campaign.design import Cell, reference_rows
 from scenarios.campaign.members import Members
 from scenarios.campaign.mirrored import MIRRORED, load_mirrored
+from scenarios.campaign.perfect import PerfectModel
 from scenarios.campaign.rows import Row
 from scenarios.campaign.scores import Events, Record, score
 from scenarios.campaign.trace import Course
@@ -103,6 +104,12 @@ class Flyer:
         first = configuration.adaptation.first or self._population.manifest.champion
         events = Events(cell.fault_at, first if row.law is None else "")
         with Session(link, who, RecordedReference(rows), configuration, log, events.hear) as session:
+            if row.model == "aircraft":
+                adaptation = configuration.adaptation
+                members = len(members_of(self._population, adaptation))
+                session.imagine_in(
+                    lambda *parts: PerfectModel(world, *parts, members, adaptation.switch == "soft", row.stage)
+                )
             (flown,) = session.fly()
         events.check(flown.summary.switches, flown.summary.alarms)
         trace = link.course.trace()

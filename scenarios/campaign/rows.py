@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+import msgspec
 
 from runtime.config import PRESETS, Configuration, resolve
 from runtime.laws.catalogue import LAWS, LawName
@@ -16,6 +18,13 @@ NONE, ORACLE, ROBUST = "none", "oracle", "robust"
 """The champion throughout; of each flight the best member in hindsight; the one member that is best over a suite."""
 FROZEN = "frozen"
 """``understudy`` in the nominal model throughout; with a preset before it, that preset in the same way."""
+PERFECT, SEQUENCES = "perfect", "sequences"
+"""A preset that imagines its cast in the aircraft itself; and sequences of two members there."""
+CERTAIN = (
+    "t_play=1.0", "watch=0.0", "play_delay_ticks=1", "margin=0.02", "margin_trusted=0.02", "head_start=0.0",
+    "head_start_short=0.0", "forecast_time=0.0", "forecast_time_short=0.0", "confirmations=1",
+)  # fmt: skip
+"""A perfect model is asked more often, since it needs no alarm, and believed at once."""
 DERIVED = (NONE, ROBUST, ORACLE)
 """Rows that follow from the flights of the members."""
 
@@ -31,6 +40,10 @@ class Row(Settings, frozen=True):
     """``key=value`` over the preset, as the runtime's ``--set``."""
     law: LawName | Literal["pid-mirrored"] | None = None
     """A law that flies in the cast's place."""
+    model: Literal["identified", "aircraft"] = "identified"
+    """In what the cast is imagined: in the runtime's model, or in the aircraft itself (``scenarios.campaign.perfect``)."""
+    stage: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    """In the aircraft itself each imagined flight may change its member once more after so long [s]; 0: never."""
 
     @property
     def alone(self) -> LawName | None:
@@ -52,6 +65,8 @@ def known_rows() -> dict[str, Row]:
         *(Row(name=preset, preset=preset) for preset in PRESETS if preset != "thesis"),
         Row(name=FROZEN, changes=("identify=false",)),
         Row(name=f"ensemble-{FROZEN}", preset="ensemble", changes=("effectiveness=none",)),
+        *(Row(name=f"{p}-{PERFECT}", preset=p, changes=CERTAIN, model="aircraft") for p in ("ensemble", "structured")),
+        Row(name=f"ensemble-{SEQUENCES}", preset="ensemble", changes=CERTAIN, model="aircraft", stage=1.0),
         *(Row(name=law, law=law) for law in LAWS),
         Row(name=MIRRORED, law=MIRRORED),
     ]
