@@ -107,8 +107,11 @@ class Flyer:
             if row.model == "aircraft":
                 adaptation = configuration.adaptation
                 members = len(members_of(self._population, adaptation))
+                soft = adaptation.switch == "soft"
                 session.imagine_in(
-                    lambda *parts: PerfectModel(world, *parts, members, adaptation.switch == "soft", row.stage)
+                    lambda policy, cast, model, guard: PerfectModel(
+                        world, policy, cast, model, guard, members, soft, row.stage
+                    )
                 )
             (flown,) = session.fly()
         events.check(flown.summary.switches, flown.summary.alarms)

@@ -1,8 +1,8 @@
 """Imagination in the aircraft itself, a perfect model: the process is forked, and each copy flies on with one member.
 
-What comes of a member is then exactly what will come of it: the fault, the air, the noise, and what the estimator and the
-laws will have found by then. No runtime has such a model. Its flights say what a better one could still gain; what they
-lose, nobody in the cast saves who is chosen by looking ``horizon`` ahead.
+What comes of a member is then exactly what will come of it: the fault, the air, the noise, and what the estimator and
+the laws will have found by then. No runtime has such a model. Its flights say what a better one could still gain; what
+they lose, nobody in the cast saves who is chosen by looking ``horizon`` ahead.
 
 With sequences each imagined flight may change its member once more on the way, and the best second one counts: a search
 of the tree of depth two. Returns are sums of what is never positive, so that a flight is cut off when it has lost more
@@ -112,11 +112,12 @@ class PerfectModel:
                 os._exit(0)  # nothing that the copy inherited is closed, written or said twice
         os.close(writing)
         with os.fdopen(reading, "rb") as pipe:
-            answer = pipe.read()
+            said = pipe.read()
         os.waitpid(child, 0)
-        if len(answer) != _ANSWER.size:
+        if len(said) != _ANSWER.size:
             raise RuntimeError("a copy of the process, in which a flight was imagined, came to a bad end")
-        return _ANSWER.unpack(answer)
+        returned, dangers = _ANSWER.unpack(said)
+        return returned, dangers
 
     def _fly_on(
         self, member: int | None, reference: np.ndarray, start: int, earned: float, bound: float

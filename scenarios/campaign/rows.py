@@ -21,10 +21,10 @@ FROZEN = "frozen"
 PERFECT, SEQUENCES = "perfect", "sequences"
 """A preset that imagines its cast in the aircraft itself; and sequences of two members there."""
 CERTAIN = (
-    "t_play=1.0", "watch=0.0", "play_delay_ticks=1", "margin=0.02", "margin_trusted=0.02", "head_start=0.0",
+    "watch_period=0.5", "play_delay_ticks=1", "margin=0.02", "margin_trusted=0.02", "head_start=0.0",
     "head_start_short=0.0", "forecast_time=0.0", "forecast_time_short=0.0", "confirmations=1",
 )  # fmt: skip
-"""A perfect model is asked more often, since it needs no alarm, and believed at once."""
+"""What a perfect model says is believed at once. A question costs it seconds: after an alarm there are fewer."""
 DERIVED = (NONE, ROBUST, ORACLE)
 """Rows that follow from the flights of the members."""
 
@@ -41,7 +41,7 @@ class Row(Settings, frozen=True):
     law: LawName | Literal["pid-mirrored"] | None = None
     """A law that flies in the cast's place."""
     model: Literal["identified", "aircraft"] = "identified"
-    """In what the cast is imagined: in the runtime's model, or in the aircraft itself (``scenarios.campaign.perfect``)."""
+    """In what the cast is imagined: the runtime's model, or the aircraft itself (``scenarios.campaign.perfect``)."""
     stage: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     """In the aircraft itself each imagined flight may change its member once more after so long [s]; 0: never."""
 
@@ -85,13 +85,16 @@ def parse_row(text: str) -> Row:
 
 
 def choose_rows(names: str | None, extra: tuple[str, ...]) -> list[Row | Literal["members"]]:
-    """Return the rows of a comma-separated list (all of them without one) and those that ``extra`` describes.
+    """Return the rows of a comma-separated list and those that ``extra`` describes.
+
+    Without a list all of them but those that imagine in the aircraft itself, which take hours.
 
     The members' flights come with any of the rows that follow from them, and always in a full campaign; ``none`` on its
     own is flown on its own.
     """
     known = known_rows()
-    wanted = [name.strip() for name in names.split(",")] if names else [MEMBERS, *known]
+    quick = [name for name, row in known.items() if row.model == "identified"]
+    wanted = [name.strip() for name in names.split(",")] if names else [MEMBERS, *quick]
     derived: tuple[str, ...] = DERIVED
     if not {MEMBERS, ORACLE, ROBUST} & set(wanted):
         derived, known = (), {NONE: Row(name=NONE, changes=("switch=none",)), **known}

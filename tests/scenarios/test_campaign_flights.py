@@ -9,11 +9,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from export.folder import write_population
-from export.mirrors import with_mirrors
-from export.network import Layer, Network, flatten
-from export.population import Description, Member, Population
-from export.rates import RateSettings, rate_model
 from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
 from runtime.laws.catalogue import LAWS
@@ -28,35 +23,16 @@ from scenarios.campaign.store import Journal, plain, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import Task, fly_all, plan
-from sim_bridge.conditions import NOMINAL
 from sim_bridge.faults import SensorBias
 from sim_bridge.plant import Plant
 from sim_bridge.world import World
 from task.errors import UserError
 from task.limits import DT
 from task.reward import terminated
-from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION, STATE
+from task.state import STATE
 
 SECONDS = 14.0
 """Of these flights [s]; the fault comes between 8 and 12 s."""
-
-
-@pytest.fixture(scope="session")
-def cast(tmp_path_factory, short_prior):
-    """Return the folder of a linear law that tracks well, and its mirrors."""
-    network = Network(layers=(Layer(units=N_ACTION, activation="linear"),), action_scale=(1.0, 1.0, 1.0))
-    gains = np.zeros((1, N_ACTION, N_OBSERVATION))
-    gains[0, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -0.8, 0.4
-    gains[0, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -0.6, 0.2
-    gains[0, ACTION.dr, OBSERVATION.beta_e] = 0.3
-    bias = np.array([[-0.02477, 0.0, 0.0]])
-    member = (Member(name="good", scores={}),)
-    description = Description(network=network, members=member, champion="good", training={})
-    parameters = flatten(network, {"layers.0.weight": gains, "layers.0.bias": bias})
-    folder = tmp_path_factory.mktemp("casts") / "mirrored"
-    rates = rate_model(RateSettings(conditions=(NOMINAL,), duration=30.0))
-    write_population(with_mirrors(Population(description, parameters), "linear cast"), short_prior, folder, rates=rates)
-    return folder
 
 
 def short(fault: str, suite: str = "hard", **wanted):
