@@ -48,11 +48,8 @@ class Ensemble:
 
     def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Return the action (3,) [rad] of whoever flies."""
-        found = self._model.effectiveness
+        self._tell()
         for law, action in zip(self._laws, self._actions, strict=True):
-            if found is not None:  # what is believed to become of the commands
-                believed = found.hypotheses[found.evidence.believed]
-                law.match(believed.delay, believed.order, believed.rate)
             np.copyto(action, law.steer(x, reference))
         law_number = self._cast.law
         wanted = self._network.steer(x, reference) if law_number is None else self._actions[law_number]
@@ -63,6 +60,19 @@ class Ensemble:
                 self._cast.taken = False
             self._action += self._cast.blend * self._offset
         return self._action
+
+    def _tell(self) -> None:
+        """Tell the laws what is believed to become of their commands, and after an alarm what surfaces do for sure."""
+        found = self._model.effectiveness
+        if found is None:
+            return
+        believed = found.hypotheses[found.evidence.believed]
+        news = found.searching
+        sure = found.sure if news or any(law.informed for law in self._laws) else None
+        for law in self._laws:
+            law.match(believed.delay, believed.order, believed.rate)
+            if sure is not None:
+                law.inform(sure, news)
 
     def sent(self, command: np.ndarray) -> None:
         """Take what was sent; a law is told what of it is believed to act."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -51,13 +52,16 @@ class INDI(Law):
     the nominal ones that are found in flight; without it B is fixed.
 
     A member of a cast is told what becomes of its commands (:meth:`match`): then u_f is the older command that acts, of
-    the surface that it moves, and the loops ask for no more than the delay lets them: ``REACH`` over it.
+    the surface that it moves, and the loops ask for no more than the delay lets them: ``REACH`` over it. And it is told
+    when a surface works the other way round (:meth:`inform`), until it has found that out itself.
     """
 
     REACH = 0.5
     """Largest gain of the rate loop times the delay of the commands [-]; an ideal loop would be lost at pi / 2."""
     SWING = 0.017
     """Of a surface whose rate is limited: such a limit counts as the delay that this takes [rad]."""
+    LEAST, MOST = 0.1, 5.0
+    """Bounds of the magnitude that is believed when told [-]: the law divides by it."""
     CASCADE = 0.4
     """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
 
@@ -80,13 +84,16 @@ class INDI(Law):
         self._delay, self._order, self._rate = 0, STRAIGHT, math.inf
         self._k_attitude, self._k_rate = gains.attitude, gains.rate
         self._ratio, self._cos_alpha, self._cos_phi = 1.0, 1.0, 1.0
-        self._told = False
+        self._commanded = False
+        self._told: list[float | None] = [None] * N_ACTION
+        """Effectiveness over nominal, where the law was told and goes by it [-]."""
         self._samples = 0
 
     def reset(self) -> None:
         """Start a new flight: trim, nothing learnt."""
         super().reset()
-        self._told = False
+        self._commanded = False
+        self._told = [None] * N_ACTION
         self._rate = math.inf
         self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
@@ -102,7 +109,7 @@ class INDI(Law):
         oldest = self._commands.pop(0)
         np.copyto(oldest, command)
         self._commands.append(oldest)
-        self._told = True
+        self._commanded = True
 
     def match(self, delay: int, order: tuple[int, int, int], rate: float = math.inf) -> None:
         """Take how late the commands act beyond the link's lag [samples], whose acts on which surface, and how fast."""
@@ -114,6 +121,34 @@ class INDI(Law):
                 self.estimate.reset()
         self._rate = rate
         self._match_gains(min(delay, MAX_DELAY), order)
+
+    def inform(self, sure: Sequence[float | None], news: bool) -> None:
+        """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law goes by.
+
+        From an alarm on, until the two agree or nobody is sure any more. Without an alarm the law is left to what it
+        found itself: a surface that nobody moves is known for sure as it was.
+        """
+        for surface, (found, own) in enumerate(zip(sure, self._own, strict=True)):
+            wrong = found is not None and found * own < 0.0
+            self._told[surface] = found if wrong and (news or self._told[surface] is not None) else None
+
+    @property
+    def informed(self) -> bool:
+        """Return whether the law goes by what it was told of a surface."""
+        return any(told is not None for told in self._told)
+
+    @property
+    def _own(self) -> list[float]:
+        """Effectiveness over nominal as the law found it (3,) [-]."""
+        return [1.0] * N_ACTION if self.estimate is None else self.estimate.multipliers
+
+    @property
+    def _multipliers(self) -> list[float]:
+        """Effectiveness over nominal that the law goes by (3,) [-]."""
+        return [
+            own if told is None else math.copysign(min(max(abs(told), self.LEAST), self.MOST), told)
+            for own, told in zip(self._own, self._told, strict=True)
+        ]
 
     def _match_gains(self, delay: int, order: tuple[int, int, int]) -> None:
         """Keep both loops as slow as the delay asks for."""
@@ -164,7 +199,7 @@ class INDI(Law):
         The rudder comes first, and what its limit takes away is not asked of elevator and aileron: a jammed rudder then
         costs sideslip, and not bank as well.
         """
-        multipliers = [1.0] * N_ACTION if self.estimate is None else self.estimate.multipliers
+        multipliers = self._multipliers
         B, row = self._airframe.effectiveness, self._inverse[ACTION.dr]
         rudder = self._limited(
             ACTION.dr, row[0] * missing[0] + row[1] * missing[1] + row[2] * missing[2], ratio, multipliers
@@ -185,7 +220,7 @@ class INDI(Law):
 
     def _begin(self, x: np.ndarray, ratio: float) -> np.ndarray:
         """Start the filter at a state, and return the command that goes on: the last one, or trim."""
-        if not self._told:
+        if not self._commanded:
             for command in self._commands:
                 command[:] = self.trim(ratio), 0.0, 0.0
         for command in self._commands[:-1]:
@@ -229,7 +264,7 @@ class INDI(Law):
         if self._samples == 0:  # the filters start again: until then the last command goes on
             maps[rows, N_MEMORY + SEEN.one.start] = self._commands[-1]
             return LinearLaw(maps, memory)
-        multipliers = np.ones(N_ACTION) if self.estimate is None else np.array(self.estimate.multipliers)
+        multipliers = np.array(self._multipliers)
         inverse = np.array(self._inverse) / (self._ratio * multipliers[:, None])
         first = (self._filter.first - self._before_first) / self._dt
         second = (self._filter.second - self._before_second) / self._dt

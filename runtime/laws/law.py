@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
@@ -86,6 +87,18 @@ class Law:
         delay: samples beyond the link's command lag; order: whose command acts as elevator, aileron and rudder;
         rate: how fast surfaces move at most [rad/s], which :meth:`sent` has in its commands then.
         """
+
+    def inform(self, sure: Sequence[float | None], news: bool) -> None:
+        """Take the effectiveness of elevator, aileron and rudder; a law that cannot use it ignores it.
+
+        sure: signed, over that of the healthy aircraft [-], None where the sign is not known for sure; news: whether an
+        alarm came lately.
+        """
+
+    @property
+    def informed(self) -> bool:
+        """Return whether the law goes by what it was told of a surface, and not by what it found itself."""
+        return False
 
     def linear(self) -> LinearLaw:
         """Return how the law goes on from the last state it saw, for the imagination: linear, with its memory.
