@@ -154,6 +154,63 @@ def test_crossed_surfaces_are_flown_by_an_indi_that_knows():
     assert len(flight(make_law("indi", SETTINGS), 3000, crossed)) < 3001
 
 
+def reversed_elevator(tick, sent):
+    return sent[-1] * [-1.0 if tick >= 500 else 1.0, 1.0, 1.0]
+
+
+def reversed_by_now(tick, law, news=True):
+    if tick >= 515:  # a filter needs some samples
+        law.inform([-1.0, None, 1.0], news and tick < 700)
+
+
+def test_an_indi_that_is_told_of_a_reversal_flies_on_and_later_goes_by_what_it_finds_itself():
+    informed = []
+
+    def tell(tick, law):
+        reversed_by_now(tick, law)
+        informed.append(law.informed)
+
+    told = flight(make_law("indi-rls-signfree", SETTINGS), 3000, reversed_elevator, tell)
+    untold = flight(make_law("indi-rls-signfree", SETTINGS), 3000, reversed_elevator)
+    assert len(told) == len(untold) == 3001
+
+    def error(states):
+        return nmae(tracking_error(states[501:1000], ROWS[500:999]))
+
+    assert error(told) < 0.7 * error(untold)
+    found = np.flatnonzero(informed)
+    assert found[0] == 515
+    assert 520 < found[-1] < 700
+    # without an alarm it is not told: what nobody moves is known for sure as it was
+    assert not np.any(informed[:515])
+    alone = make_law("indi", SETTINGS)
+    assert len(flight(alone, 3000, reversed_elevator, lambda tick, law: reversed_by_now(tick, law, news=False))) < 3001
+    assert not alone.informed
+    # one that finds nothing itself goes by it for good, also when the alarm is long over
+    alone = make_law("indi", SETTINGS)
+    assert len(flight(alone, 3000, reversed_elevator, reversed_by_now)) == 3001
+    assert alone.informed
+    alone.inform([None, None, None], False)
+    assert not alone.informed
+
+
+def test_the_imagination_is_told_of_a_law_as_it_was_told():
+    done, told = [], []
+
+    def look(tick, linear, states, sent, action):
+        if 515 < tick < 600:
+            dx = (states[-1] - states[-2])[:N_IDENTIFIED]
+            rate = (ROWS[tick] - ROWS[tick - 1]) / DT
+            told.append(
+                step(linear.maps, linear.memory, seen(states[-1][:N_IDENTIFIED], dx, sent[-2], ROWS[tick], rate))[0]
+            )
+            done.append(action)
+
+    flight(make_law("indi", SETTINGS), 600, reversed_elevator, reversed_by_now, look)
+    moved = np.array(done).std(axis=0)
+    assert (np.abs(np.array(told) - done).mean(axis=0) < 0.05 * moved)[0]
+
+
 def parts(citation, laws=("indi", "pid")):
     settings = Adaptation(laws=laws)
     network = BehaviouralPolicy(citation)
