@@ -254,6 +254,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     confirmations: Annotated[int, msgspec.Meta(ge=1)] = 1
     """So many imaginations in a row must name the same member before a change that no alarm asked for."""
 
+    confirmations_watch: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """The same for ``watch`` after an alarm: with a law in the cast that has found out itself what changed, or was told,
+    most changes that a single imagination asks for are to and fro."""
+
     dwell: NotNegative = 0.0
     """Least time between two switches [s]."""
 
@@ -354,6 +358,7 @@ PRESETS: dict[str, Adaptation] = {
         forecast_time=0.2,
         forecast_time_short=3.0,
         confirmations=2,
+        confirmations_watch=2,
     ),
     "thesis": Adaptation(
         model="full", prior="none", p0=1e12, kappa=0.9995, t_play=2.0, horizon=2.0, margin=0.5, rho=0.05

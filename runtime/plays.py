@@ -169,9 +169,9 @@ class Plays:
     def _careful(self, decision: Decision, tick: int) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when too little speaks for it.
 
-        After an alarm one imagination is enough. Without, a member can be the better one by chance, and
-        ``confirmations`` in a row must name it, the next of them asked for at once. One that opposes the member that
-        flies is right only when a surface works backwards, and needs two at least.
+        A member can be the better one by chance: ``confirmations`` in a row must name it, after an alarm
+        ``confirmations_watch``, the next of them asked for at once. One that opposes the member that flies is right only
+        when a surface works backwards, and needs two at least unless there was an alarm.
         """
         if decision.action is Action.KEEP:
             self._candidate = -1
@@ -179,11 +179,11 @@ class Plays:
         opposed = self._cast.opposes(decision.member)
         self._votes = self._votes + 1 if decision.member == self._candidate else 1
         self._candidate = decision.member
-        needed = self._settings.confirmations
-        if opposed and self._model.effectiveness is not None:
-            needed = max(needed, 2)
-        if tick >= self._watch_until and self._votes < needed:
-            if self._settings.confirmations > 1:
+        watching = tick < self._watch_until
+        usual = self._settings.confirmations_watch if watching else self._settings.confirmations
+        needed = max(usual, 2) if opposed and not watching and self._model.effectiveness is not None else usual
+        if self._votes < needed:
+            if usual > 1:
                 self._next = tick
             return decision._replace(action=Action.KEEP, reason=Reason.UNCONFIRMED)
         self._candidate = -1

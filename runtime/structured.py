@@ -42,8 +42,8 @@ class Effectiveness:
     """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
-    SIGNED = 0.1
-    """A sign is known for sure when lambda is beyond this by ``belief_sd`` standard deviations [-]."""
+    SIGNED, SIGNED_SD = 0.1, 3.0
+    """A sign is known for sure when lambda is beyond the first by so many standard deviations [-]."""
     STEADY = 0.1
     """Of the doubt about the bias when the filters open, where only a range is looked for."""
 
@@ -151,7 +151,7 @@ class Effectiveness:
     def sure(self) -> list[float | None]:
         """Return lambda (3,), None where its sign is not known for sure; a surface that stops short has none."""
         return [
-            each if surface != self.limited and abs(each) - self.settings.belief_sd * sd > self.SIGNED else None
+            each if surface != self.limited and abs(each) - self.SIGNED_SD * sd > self.SIGNED else None
             for surface, (each, sd) in enumerate(zip(self.effectiveness.tolist(), self.sd.tolist(), strict=True))
         ]
 
