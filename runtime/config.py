@@ -255,7 +255,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """So many imaginations in a row must name the same member before a change that no alarm asked for."""
 
     confirmations_watch: Annotated[int, msgspec.Meta(ge=1)] = 1
-    """The same for ``watch`` after an alarm: with a law in the cast that has found out itself what changed, or was told,
+    """The same for ``watch`` after an alarm. With a law in the cast that is told what changed, or finds it out itself,
     most changes that a single imagination asks for are to and fro."""
 
     dwell: NotNegative = 0.0

@@ -169,9 +169,9 @@ class Plays:
     def _careful(self, decision: Decision, tick: int) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when too little speaks for it.
 
-        A member can be the better one by chance: ``confirmations`` in a row must name it, after an alarm
-        ``confirmations_watch``, the next of them asked for at once. One that opposes the member that flies is right only
-        when a surface works backwards, and needs two at least unless there was an alarm.
+        A member can be the better one by chance: ``confirmations`` in a row must name it, ``confirmations_watch`` after
+        an alarm, the next of them asked for at once. One that opposes the member that flies is right only when a
+        surface works backwards, and without an alarm needs two at least.
         """
         if decision.action is Action.KEEP:
             self._candidate = -1

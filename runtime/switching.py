@@ -41,7 +41,7 @@ REASONS = {
     Reason.TOO_OLD: "the prediction is older than max_age",
     Reason.NO_PREDICTION: "no member has a finite predicted return",
     Reason.OVERTAKEN: "an alarm came after the question",
-    Reason.UNCONFIRMED: "without an alarm, one imagination is not enough to change to this member",
+    Reason.UNCONFIRMED: "so few imaginations are not enough to change to this member",
     Reason.DWELL: "the last switch is younger than the dwell time",
     Reason.INCUMBENT_UNKNOWN: "the incumbent's own return is not finite; the best member takes over",
 }

@@ -107,7 +107,7 @@ HARD, QUIET = [-40.0, -20.0, -90.0, -90.0], [-1.0, -2.0, -90.0, -90.0]
 """What "good", "lazy" and the others are foretold in a hard moment and in a quiet one."""
 
 
-def foretell(population, settings, short, foretold, flying):
+def foretell(population, settings, short, foretold, flying, alarm_at=-1):
     """Return what comes of returns that are foretold, while a surface is believed to stop short or not."""
     flight = Flight(population, None, settings, flying)
     flight.cast.first = MEMBERS.index("good")
@@ -116,7 +116,12 @@ def foretell(population, settings, short, foretold, flying):
     plays = flight.plays
     plays._model, plays._snapshot = model, lambda t: None
     plays._imagination = Foretold([*row, row[MEMBERS.index(flying)]] for row in foretold)
-    return [played for tick in range(100) if (played := plays.step(tick, tick * DT))]
+    decided = []
+    for tick in range(100):
+        model.alarmed = tick == alarm_at
+        if played := plays.step(tick, tick * DT):
+            decided.append(played)
+    return decided
 
 
 @pytest.mark.parametrize(
@@ -146,3 +151,20 @@ def test_the_margin_is_another_while_a_surface_stops_short(population, short, re
     settings = msgspec.structs.replace(SETTINGS, margin=0.5, margin_trusted=0.1)
     played = foretell(population, settings, short, [[-10.0, -7.0, -90.0, -90.0]], "good")
     assert played[-1].decision.reason == reason
+
+
+@pytest.mark.parametrize(("needed", "reasons"), [(1, [Reason.BETTER]), (2, [Reason.UNCONFIRMED, Reason.BETTER])])
+def test_after_an_alarm_as_many_imaginations_must_agree_as_are_asked_for(population, needed, reasons):
+    settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=needed, watch=0.5)
+    played = foretell(population, settings, False, [HARD], "good", alarm_at=12)
+    assert [p.decision.reason for p in played[:needed]] == reasons
+    assert [MEMBERS[p.decision.member] for p in played[:needed]] == ["lazy"] * needed
+    asked = [p.tick_asked for p in played[:needed]]
+    assert asked[0] == 12 + round(settings.settle / DT)
+    assert asked[1:] == [asked[0] + settings.play_delay_ticks] * (needed - 1)  # the second is asked for at once
+
+
+def test_an_alarm_does_not_hasten_what_chance_says(population):
+    settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=2, watch=0.5)
+    played = foretell(population, settings, False, [HARD, QUIET, HARD, QUIET, QUIET], "good", alarm_at=12)
+    assert all(p.decision.action is Action.KEEP for p in played)
