@@ -124,7 +124,8 @@ class PerfectModel:
     ) -> tuple[float, float]:
         """Fly to the end of the stage, then with the best second member to the horizon; the same as ``_explore``."""
         if member is not None and member != self._cast.flying:
-            self._cast.take(Decision(self._action, member, Reason.BETTER, 0.0))
+            action = Action.HARD if self._cast.opposes(member) else self._action
+            self._cast.take(Decision(action, member, Reason.BETTER, 0.0))
         horizon = len(reference) - 1
         last = horizon if start or not self._stage else min(self._stage, horizon)
         x, dangers = np.zeros((last - start, N_STATE)), 0.0
