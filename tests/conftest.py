@@ -1,4 +1,4 @@
-"""Random populations for all tests, written through the real export."""
+"""Populations for all tests, random ones and one that flies well, written through the real export."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # as in the Makefile: on more thr
 import numpy as np
 import pytest
 
+from export.mirrors import with_mirrors
 from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population
+from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION
 
 if TYPE_CHECKING:
     from export.prior import Prior
@@ -67,4 +69,25 @@ def population_folder(tmp_path_factory: pytest.TempPathFactory, short_prior: Pri
     network = Network(layers=(Layer(units=16), *hidden, Layer(units=3)))
     folder = tmp_path_factory.mktemp("populations") / "random"
     write_population(random_actors(network), short_prior, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def mirrored_folder(tmp_path_factory: pytest.TempPathFactory, short_prior: Prior) -> Path:
+    """Return a linear law that tracks well, and its mirrors; the trim is its bias, the network's offset is zero."""
+    from export.folder import write_population
+    from export.rates import RateSettings, rate_model
+    from sim_bridge.conditions import NOMINAL
+
+    network = Network(layers=(Layer(units=N_ACTION, activation="linear"),), action_scale=(1.0, 1.0, 1.0))
+    gains = np.zeros((1, N_ACTION, N_OBSERVATION))
+    gains[0, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -0.8, 0.4
+    gains[0, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -0.6, 0.2
+    gains[0, ACTION.dr, OBSERVATION.beta_e] = 0.3
+    bias = np.array([[-0.02477, 0.0, 0.0]])
+    description = Description(network=network, members=(Member(name="good", scores={}),), champion="good", training={})
+    parameters = flatten(network, {"layers.0.weight": gains, "layers.0.bias": bias})
+    folder = tmp_path_factory.mktemp("casts") / "mirrored"
+    rates = rate_model(RateSettings(conditions=(NOMINAL,), duration=30.0))
+    write_population(with_mirrors(Population(description, parameters), "linear cast"), short_prior, folder, rates=rates)
     return folder

@@ -6,19 +6,13 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from export.folder import write_population
-from export.mirrors import with_mirrors
-from export.network import Layer, Network, flatten
-from export.population import Description, Member, Population
-from export.rates import RateSettings, rate_model
 from runtime.config import resolve
 from runtime.loop import Outcome
 from runtime.population import load_population
 from runtime.reference import RecordedReference
 from runtime.session import Session
-from sim_bridge.conditions import NOMINAL
 from task.reference import random_reference
-from task.state import ACTION, N_ACTION, N_OBSERVATION, OBSERVATION, STATE
+from task.state import STATE
 
 GYRO = 6.3e-4
 """Of the thesis's case R3 [rad/s]."""
@@ -29,25 +23,9 @@ ROWS = random_reference(np.random.default_rng(2), 0.01 * SAMPLES, 0.0)
 FAULTS = {"good/-e": (-1.0, 1.0, 1.0), "good/-a": (1.0, -1.0, 1.0), "good/-ea": (-1.0, -1.0, 1.0)}
 
 
-def linear_cast():
-    """Return a linear law that tracks well, and its mirrors; the trim is its bias, the network's offset is zero."""
-    network = Network(layers=(Layer(units=N_ACTION, activation="linear"),), action_scale=(1.0, 1.0, 1.0))
-    gains = np.zeros((1, N_ACTION, N_OBSERVATION))
-    gains[0, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -0.8, 0.4
-    gains[0, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -0.6, 0.2
-    gains[0, ACTION.dr, OBSERVATION.beta_e] = 0.3
-    bias = np.array([[-0.02477, 0.0, 0.0]])
-    description = Description(network=network, members=(Member(name="good", scores={}),), champion="good", training={})
-    parameters = flatten(network, {"layers.0.weight": gains, "layers.0.bias": bias})
-    return with_mirrors(Population(description, parameters), "linear cast")
-
-
 @pytest.fixture(scope="session")
-def mirrored(tmp_path_factory, short_prior):
-    folder = tmp_path_factory.mktemp("casts") / "mirrored"
-    rates = rate_model(RateSettings(conditions=(NOMINAL,), duration=30.0))
-    write_population(linear_cast(), short_prior, folder, rates=rates)
-    return load_population(folder)
+def mirrored(mirrored_folder):
+    return load_population(mirrored_folder)
 
 
 def noisy(sd, seed=0):

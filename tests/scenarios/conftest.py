@@ -1,4 +1,4 @@
-"""A flight made by hand, for what needs its shape and not its dynamics; and a small cast that flies well."""
+"""A flight made by hand, for what needs its shape and not its dynamics."""
 
 from __future__ import annotations
 
@@ -8,21 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from export.folder import write_population
-from export.mirrors import with_mirrors
-from export.network import Layer, Network, flatten
-from export.population import Description, Member, Population
-from export.prior import Prior
-from export.rates import RateSettings, rate_model
 from scenarios.references import NamedReference
 from scenarios.run import Job, Result
 from scenarios.schema import MODES
 from scenarios.score import score_flight
 from scenarios.trace import AdaptationTrace, FlightTrace, Play, Switch
-from sim_bridge.conditions import NOMINAL
 from sim_bridge.flight import Flight
 from task.reference import base_reference
-from task.state import ACTION, N_ACTION, N_OBSERVATION, N_STATE, OBSERVATION, REFERENCE, STATE
+from task.state import N_ACTION, N_STATE, REFERENCE, STATE
 
 SECONDS = 10.0
 
@@ -59,18 +52,6 @@ def make_result() -> Callable[..., Result]:
 
 
 @pytest.fixture(scope="session")
-def cast(tmp_path_factory: pytest.TempPathFactory, short_prior: Prior) -> Path:
-    """Return the folder of a linear law that tracks well, and its mirrors."""
-    network = Network(layers=(Layer(units=N_ACTION, activation="linear"),), action_scale=(1.0, 1.0, 1.0))
-    gains = np.zeros((1, N_ACTION, N_OBSERVATION))
-    gains[0, ACTION.de, [OBSERVATION.theta_e, OBSERVATION.q]] = -0.8, 0.4
-    gains[0, ACTION.da, [OBSERVATION.phi_e, OBSERVATION.p]] = -0.6, 0.2
-    gains[0, ACTION.dr, OBSERVATION.beta_e] = 0.3
-    bias = np.array([[-0.02477, 0.0, 0.0]])
-    member = (Member(name="good", scores={}),)
-    description = Description(network=network, members=member, champion="good", training={})
-    parameters = flatten(network, {"layers.0.weight": gains, "layers.0.bias": bias})
-    folder = tmp_path_factory.mktemp("casts") / "mirrored"
-    rates = rate_model(RateSettings(conditions=(NOMINAL,), duration=30.0))
-    write_population(with_mirrors(Population(description, parameters), "linear cast"), short_prior, folder, rates=rates)
-    return folder
+def cast(mirrored_folder: Path) -> Path:
+    """Return the cast of the campaign's tests: the folder of a linear law that tracks well, and its mirrors."""
+    return mirrored_folder
