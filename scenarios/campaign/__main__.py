@@ -80,7 +80,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
             f"these very flights. oracle: of each flight the best member in hindsight{laws}. Members fly from the "
             "moment of the fault on, until then the champion does.",
             "A suited member survives with at most 1.2 times the oracle's nMAE plus 0.2 points; its time counts from "
-            "the fault to the first change of the cast to such a member.",
+            "the fault to the first change of the cast to such a member, or to the last change of a flight that is "
+            "itself as good: laws in a cast are told what they do not know alone.",
             "Laws: gains tuned for the Citation (docs/laws.md). They are peers, not members of this cast.",
         ],
     )  # fmt: skip

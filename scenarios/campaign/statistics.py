@@ -136,20 +136,28 @@ SUITED_RATIO, SUITED_OFFSET = 1.2, 0.2
 """A member suits a flight when it survives it with at most this times the oracle's nMAE, plus this [%]."""
 
 
+def bound(members: Sequence[Record]) -> float:
+    """Return the nMAE [%] with which a flight is flown about as well as by the best of ``members``; NaN of nobody."""
+    return SUITED_RATIO * min((m.nmae for m in members if m.survived), default=math.nan) + SUITED_OFFSET
+
+
 def suited(members: Sequence[Record]) -> set[str]:
     """Return who flies one flight about as well as the best of ``members``; nobody when all are lost."""
-    kept = [m for m in members if m.survived]
-    if not kept:
-        return set()
-    best = min(m.nmae for m in kept)
-    return {m.member for m in kept if m.nmae <= SUITED_RATIO * best + SUITED_OFFSET}
+    most = bound(members)
+    return {m.member for m in members if m.survived and m.nmae <= most}
 
 
-def time_to_suited(record: Record, right: set[str]) -> float:
-    """Return when a suited member first flies, from the fault [s]: 0 when it did already, inf when never."""
+def time_to_suited(record: Record, members: Sequence[Record]) -> float:
+    """Return when a suited member first flies, from the fault [s]: 0 when it did already, inf when never.
+
+    A law in a cast is told what it does not know alone, and may suit a flight that it loses by itself. Hence whoever
+    flew last was suited, too, when this very flight is as good as that.
+    """
+    right, last = suited(members), record.switched_at[-1]
+    own = max(last, 0.0) if record.survived and record.nmae <= bound(members) else math.inf
     flying = [
         (max(at, 0.0), to)
         for i, (at, to) in enumerate(zip(record.switched_at, record.switched_to, strict=True))
         if at >= 0.0 or i + 1 == len(record.switched_at) or record.switched_at[i + 1] >= 0.0
     ]
-    return min((at for at, to in flying if to in right), default=math.inf)
+    return min([own, *(at for at, to in flying if to in right)])

@@ -111,7 +111,7 @@ class Campaign:
         """
         times = []
         for k, record in flights.items():
-            right = suited(self.members.get(k, []))
-            if right and record.switched_to:
-                times.append(time_to_suited(record, right))
+            members = self.members.get(k, [])
+            if suited(members) and record.switched_to:
+                times.append(time_to_suited(record, members))
         return times if all_suited else [at for at in times if at > 0.0]

@@ -68,12 +68,18 @@ def test_a_suited_member_is_near_the_best_and_its_time_counts_from_the_fault():
     assert suited(members) == {"a", "b"}
     assert suited(members[3:]) == set()
 
-    def casting(*changes):
-        return flight("x", 0, 1.0, switched_at=[c[0] for c in changes], switched_to=[c[1] for c in changes])
+    def time(*changes, nmae=1.5):
+        at, to = zip(*changes, strict=True)
+        return time_to_suited(flight("x", 0, nmae, switched_at=list(at), switched_to=list(to)), members)
 
-    assert time_to_suited(casting((-10.0, "c"), (-4.0, "d"), (0.3, "c"), (0.5, "b"), (2.0, "c")), {"a", "b"}) == 0.5
-    assert time_to_suited(casting((-10.0, "c"), (-4.0, "a"), (1.0, "c")), {"a"}) == 0.0
-    assert time_to_suited(casting((-10.0, "a"), (-4.0, "c")), {"a"}) == math.inf
+    assert time((-10.0, "c"), (-4.0, "d"), (0.3, "c"), (0.5, "b"), (2.0, "c")) == 0.5
+    assert time((-10.0, "c"), (-4.0, "a"), (1.0, "c")) == 0.0
+    assert time((-10.0, "a"), (-4.0, "c")) == math.inf
+    # who is told more in the cast than alone suits the flight that shows it
+    assert time((-10.0, "a"), (-4.0, "c"), nmae=1.39) == 0.0
+    assert time((-10.0, "c"), (0.7, "d"), nmae=1.0) == 0.7
+    assert time((-10.0, "c"), (0.7, "d"), nmae=None) == math.inf
+    assert time((-10.0, "c"), (0.7, "b"), (2.0, "d"), nmae=1.0) == 0.7
 
 
 def campaign() -> Campaign:
