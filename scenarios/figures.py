@@ -131,13 +131,18 @@ def _cast_legend(figure: Figure, tones: dict[str, str]) -> None:
 
 
 def moved_surface(flown: Sequence[Flown]) -> ACTION:
-    """Return the surface that is moved most in the first second of the first fault; the elevator without a fault."""
+    """Return the surface that is moved most in the first second of the first fault; the elevator without a fault.
+
+    Of all surfaces, or of those that the faults name: networks chatter with surfaces that are well.
+    """
     travel = np.zeros(len(ACTION))
     for flight in (one.flight for one in flown):
         if flight.fault_at is not None:
             first = int(np.searchsorted(flight.time, flight.fault_at))
             travel += np.abs(np.diff(flight.command[first : first + round(1.0 / DT)], axis=0)).sum(axis=0)
-    return ACTION(int(np.argmax(travel)))
+    broken = set().union(*(one.broken for one in flown))
+    meant = [surface in broken or not broken for surface in ACTION]
+    return ACTION(int(np.argmax(np.where(meant, travel, -1.0))))
 
 
 def _shared_limits(axes: np.ndarray, flown: Sequence[Flown], surface: ACTION) -> None:

@@ -77,6 +77,8 @@ class Flown:
     flight: FlightTrace
     adaptation: AdaptationTrace
     score: Score
+    broken: frozenset[int] = frozenset()
+    """The surfaces that its faults name, as in ``task.state.ACTION``."""
 
 
 def verdict(score: Score) -> str:

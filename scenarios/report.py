@@ -15,6 +15,7 @@ from scenarios.run import Result
 from scenarios.schema import Scenario, to_toml
 from scenarios.score import Score
 from scenarios.summary import Row, cells, summarise, text
+from sim_bridge.faults import SURFACES
 
 EXPLANATION = (
     "nMAE: mean over θ, φ and β of the mean absolute tracking error, divided by 20°, 20° and the larger of the mean β "
@@ -74,7 +75,10 @@ def best_row(rows: Sequence[Row]) -> int | None:
 
 
 def _flown(result: Result) -> Flown:
-    return Flown(result.job.mode.name, result.flight, result.adaptation, result.score)
+    faults = result.job.flight.faults
+    named = {getattr(fault, "surface", None) for fault in faults}.union(*(getattr(f, "surfaces", ()) for f in faults))
+    broken = frozenset(surface for name, surface in SURFACES.items() if name in named)
+    return Flown(result.job.mode.name, result.flight, result.adaptation, result.score, broken)
 
 
 def _pictures(

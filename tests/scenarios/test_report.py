@@ -5,22 +5,29 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.image import imread
 from rich.console import Console
 
+from scenarios import figures
+from scenarios.panels import Flown
 from scenarios.report import scores_by_mode, write_report
 from scenarios.results_page import number, write_page
 from scenarios.run import Result
 from scenarios.schema import Scenario
 from scenarios.screen import print_table
 from scenarios.summary import summarise
+from sim_bridge.faults import AnyFault, Crossed, Effectiveness
 from task.errors import UserError
 from task.results import Claim, Table, write
 from task.results import Result as Measured
+from task.state import ACTION
 
 
 @pytest.fixture
@@ -44,6 +51,35 @@ def test_the_page_is_whole_and_the_same_twice(flights: list[Result], tmp_path: P
     assert text.count("<tr") == 3 + 5  # two modes and four flights, with their headings
     for name in ("comparison", "none", "understudy-soft"):
         assert np.ptp(imread(tmp_path / "a" / "figures" / f"{name}.png")) > 0.5  # not a blank picture
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        ((), ACTION.de),
+        ((Effectiveness(start=4.0, surface="aileron", factor=-1.0),), ACTION.da),
+        ((Crossed(start=4.0),), ACTION.dr),
+    ],
+)
+def test_the_comparison_shows_a_surface_that_the_fault_names(
+    make_result: Callable[..., Result],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    faults: tuple[AnyFault, ...],
+    expected: ACTION,
+) -> None:
+    shown, draw = [], figures.deflection
+
+    def drawn(ax: Axes, flown: Flown, surface: ACTION) -> None:
+        shown.append(surface)
+        draw(ax, flown, surface)
+
+    monkeypatch.setattr(figures, "deflection", drawn)
+    flown = make_result()
+    flown.flight.command[:] *= [3.0, 1.0, 2.0]  # the elevator is moved most, then the rudder
+    job = replace(flown.job, flight=msgspec.structs.replace(flown.job.flight, faults=faults))
+    write_report(Scenario(title="t", description="d"), [replace(flown, job=job)], tmp_path)
+    assert shown[0] == expected
 
 
 def test_the_table_on_the_terminal(flights: list[Result]) -> None:
