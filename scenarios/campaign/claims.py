@@ -62,7 +62,14 @@ def still(flights: Flights, *sensors: str) -> dict[Key, Record]:
 def hard(campaign: Campaign, ours: str) -> list[Claim]:
     """Return survival, accuracy and speed over the hard suite."""
     flights, oracle = campaign.pick(ours, "hard"), campaign.pick(ORACLE, "hard")
-    found = [claim(f"{ours}, hard, all: survives of what the oracle survives", survival(flights, oracle), "%")]
+    p = paired(flights, oracle)
+    turned = paired(by_group(campaign, ours, "hard", REVERSALS), oracle)
+    found = [
+        claim(f"{ours}, hard, all: survives of what the oracle survives", survival(flights, oracle), "%"),
+        claim(f"{ours}, hard, all: mean nMAE against the oracle's, where both survive", p.of_means, "%"),
+        claim(f"{ours}, hard, reversals: mean nMAE against the oracle's, where both survive", turned.of_means, "%"),
+        claim(f"{ours}, hard, all: survives where the oracle does not", float(p.saved), f"of {p.flights}"),
+    ]
     for sensors, least in (("ideal", 98.0), ("noise", 97.0), ("twice the noise", None)):
         where = f"{ours}, hard, still air, sensors {sensors}"
         kept = still(flights, sensors)

@@ -119,6 +119,9 @@ def test_claims_are_figures_of_the_flights_and_may_fail():
     assert (peer.value, peer.holds) == (0.0, True)
     ratio = found[f"{where}, reversals: nMAE over the oracle's, median"]
     assert (ratio.value, ratio.holds) == (pytest.approx((1.1 + 1.3 / 1.2) / 2, rel=1e-3), True)
+    against = found["structured, hard, all: mean nMAE against the oracle's, where both survive"]
+    assert against.value == pytest.approx(100.0 * ((1.1 + 1.3) / (1.0 + 1.2) - 1.0), rel=1e-3)
+    assert found["structured, hard, all: survives where the oracle does not"].value == 0.0
     time = "structured, reversals, still air: time to a suited member, median"
     assert found[f"{time} (0 where one flies already)"].value == 0.25
     assert found[f"{time} where none flies yet (2 of 3)"].value == 0.25
