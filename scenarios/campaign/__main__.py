@@ -95,7 +95,8 @@ def result(campaign: Campaign, information: dict[str, str], seconds: float, ours
 @click.option("--references", "count", type=click.IntRange(1, 999), default=30, show_default=True,
               help="Flights of every fault; more later go on from these.")  # fmt: skip
 @click.option("--population", default="citation", show_default=True, help="Folder of the cast, or its name.")
-@click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all]")
+@click.option("--rows", help=f"Comma-separated, of: members, {', '.join(known_rows())}.  [default: all that imagine in "
+              "the runtime's model]")  # fmt: skip
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
 @click.option("--ours", default="ensemble", show_default=True, help="Comma-separated rows that the claims are about.")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")

@@ -20,7 +20,7 @@ from scenarios.campaign import perfect
 from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
 from scenarios.campaign.perfect import PerfectModel
-from scenarios.campaign.rows import Row, known_rows
+from scenarios.campaign.rows import Row, choose_rows, known_rows
 from scenarios.campaign.store import plain
 from scenarios.campaign.suites import load_suite
 from sim_bridge.world import World
@@ -169,3 +169,11 @@ def test_a_system_that_cannot_fork_is_told_so(cast, monkeypatch):
     monkeypatch.delattr(perfect.os, "fork")
     with pytest.raises(UserError, match="cannot fork"):
         Flight(load_population(cast))
+
+
+def test_rows_that_take_hours_are_flown_by_name_only():
+    usual = {row if isinstance(row, str) else row.name for row in choose_rows(None, ())}
+    assert usual >= {"members", "ensemble", "pid"}
+    named = choose_rows("ensemble-perfect,ensemble-sequences", ())
+    assert not usual & {row.name for row in named}
+    assert [row.stage > 0.0 for row in named] == [False, True]
