@@ -30,7 +30,7 @@ from task.reward import CRASH_COST_PER_FRAME, terminated, tracking_reward, unsaf
 from task.state import N_STATE
 
 _ANSWER = struct.Struct("2d")
-_LOST = float("-inf")
+_NO_BOUND = float("-inf")
 
 
 class PerfectModel:
@@ -72,7 +72,7 @@ class PerfectModel:
         """Fly every member on from here, where the runtime has seen the state and not yet answered it."""
         began = time.perf_counter()
         flying, blending = self._cast.flying, self._cast.blend > 0.0
-        incumbent = self._explore(None, snapshot.reference, 0, 0.0, _LOST)
+        incumbent = self._explore(None, snapshot.reference, 0, 0.0, _NO_BOUND)
         found = {} if blending else {flying: incumbent}
         best = incumbent[0]
         for member in self._order:
@@ -104,10 +104,8 @@ class PerfectModel:
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
-            answer = (_LOST, 0.0)
             try:
-                answer = self._fly_on(member, reference, start, earned, bound)
-                os.write(writing, _ANSWER.pack(*answer))
+                os.write(writing, _ANSWER.pack(*self._fly_on(member, reference, start, earned, bound)))
             finally:
                 os._exit(0)  # nothing that the copy inherited is closed, written or said twice
         os.close(writing)
