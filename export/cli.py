@@ -11,10 +11,11 @@ from export.mirrors import with_mirrors
 from export.population import TRAINING_RECORDS, load_run
 from export.prior import PriorSettings, model_prior
 from export.rates import RateSettings, rate_model
-from export.screening import ScreeningSettings, annotated, flights, screen
+from export.screening import ScreeningSettings, annotated, fit, flights, screen
 from export.study.campaign import STORE
 from export.study.show import flights_progress
 from task.config import load_toml
+from task.errors import UserError
 
 
 @click.command()
@@ -33,6 +34,7 @@ from task.config import load_toml
     help="TOML of export.screening.ScreeningSettings: references and constraints.",
 )
 @click.option("--no-screening", is_flag=True, help="Export without flying the members first.")
+@click.option("--only-fit", is_flag=True, help="Leave out members that keep the safety constraints in no case.")
 @click.option(
     "--mirrors", is_flag=True, help="Add the champion with reversed commands, seven members, for reversed surfaces."
 )
@@ -42,6 +44,7 @@ def export(
     prior_file: Path | None,
     screening_file: Path | None,
     no_screening: bool,
+    only_fit: bool,
     mirrors: bool,
 ) -> None:
     """Export the trained population in RUN to the folder POPULATION, whose name becomes the population's.
@@ -54,6 +57,8 @@ def export(
         load_toml(screening_file, ScreeningSettings, "screening settings") if screening_file else ScreeningSettings()
     )
     settings = load_toml(prior_file, PriorSettings, "prior settings") if prior_file else PriorSettings()
+    if no_screening and only_fit:
+        raise UserError("--only-fit: who is fit is what the screening says; export without --no-screening")
     trained = load_run(run)
     if mirrors:
         trained = with_mirrors(trained, str(run))
@@ -70,7 +75,11 @@ def export(
     if not no_screening:
         with flights_progress(flights(trained, screened), "screening flights") as progress:
             screening = screen(trained, screened, run / STORE, progress)
-        trained = annotated(trained, screening)
+        left_out: dict[str, str] = {}
+        if only_fit:
+            trained, screening, left_out = fit(trained, screening)
+            click.echo(f"left out: {', '.join(left_out) or 'nobody'}")
+        trained = annotated(trained, screening, left_out)
         click.echo(f"champion {trained.description.champion}: {screening.verdict(trained.champion)}")
     click.echo("graphs, golden samples, model card, hashes")
     records = {name: run / name for name in TRAINING_RECORDS if (run / name).exists()}

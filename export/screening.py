@@ -1,7 +1,8 @@
 """Every member before it is shipped: flown in all cases, held against safety constraints (thesis chapters 8.5 and 11).
 
-Nobody is removed: a member that loses every nominal flight may be the one that a broken aircraft needs. What it does is
-said, in the manifest and in the model card.
+Nobody is removed unless it is asked for: a member that loses every nominal flight may be the one that a broken
+aircraft needs. What it does is said, in the manifest and in the model card. A population trained on the healthy
+aircraft alone has no such specialists, and there who keeps the constraints in no case is of no use (:func:`fit`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from export.study.campaign import ABREAST, SEEDS, Trials, fly_once, join
 from export.study.cases import CASES, NOMINAL_CASE, REVERSED, CaseFleet
 from export.training.evaluate import Scores, attitude_nmae
 from task.config import Settings
+from task.errors import UserError
 
 SCREENED = (*CASES, *REVERSED)
 """The thesis's cases, and each surface reversed: what a specialist may be for."""
@@ -127,8 +129,30 @@ def flights(population: Population, settings: ScreeningSettings) -> int:
     return len(SCREENED) * len(population.parameters) * settings.references
 
 
-def annotated(population: Population, screening: Screening) -> Population:
-    """Return the population with what the screening found in its members' scores and in its provenance."""
+def fit(population: Population, screening: Screening) -> tuple[Population, Screening, dict[str, str]]:
+    """Return population and screening of the members that keep every constraint in one case at least.
+
+    And, by name, the verdicts on the others: potentially unsafe ones, which the thesis would remove (chapter 8.5).
+    Raises UserError when the champion is one of them.
+    """
+    members = population.description.members
+    kept = [i for i in range(len(members)) if screening.passed(i)]
+    left_out = {member.name: screening.verdict(i) for i, member in enumerate(members) if i not in kept}
+    if population.description.champion in left_out:
+        raise UserError(
+            f"champion {population.description.champion}: keeps the safety constraints in no case, and would be left "
+            "out; train it further, or export with all members"
+        )
+    description = msgspec.structs.replace(population.description, members=tuple(members[i] for i in kept))
+    scores = {case: Scores(*(column[kept] for column in each)) for case, each in screening.scores.items()}
+    return Population(description, population.parameters[kept]), screening._replace(scores=scores), left_out
+
+
+def annotated(population: Population, screening: Screening, left_out: dict[str, str] | None = None) -> Population:
+    """Return the population with what the screening found in its members' scores and in its provenance.
+
+    left_out: members that :func:`fit` has left out, and why.
+    """
     description = population.description
     members = tuple(
         Member(name=member.name, scores=member.scores | screening.figures(i))
@@ -138,6 +162,6 @@ def annotated(population: Population, screening: Screening) -> Population:
         "settings": msgspec.to_builtins(screening.settings),
         "seeds": list(SEEDS),
         "verdicts": {member.name: screening.verdict(i) for i, member in enumerate(members)},
-    }
+    } | ({"left_out": left_out} if left_out else {})
     training = description.training | {"screening": said}
     return Population(msgspec.structs.replace(description, members=members, training=training), population.parameters)

@@ -18,8 +18,9 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Fraction = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 
 Switch = Literal["none", "hard", "soft"]
-LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree"]
-"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign."""
+LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree", "indi-rls-protected"]
+"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign, and
+``indi-rls-protected`` keeps below the angle of attack of the stall besides."""
 
 
 class Adaptation(Settings, frozen=True, kw_only=True):
@@ -243,6 +244,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     excitation_sd: Positive = 0.1
     """There are pulses while lambda's standard deviation is larger than this [-]."""
 
+    elevator_reserve: Annotated[float, msgspec.Meta(ge=0.0, lt=DEFLECTION_LIMIT)] = 0.0
+    """How much of the elevator laws keep back while it holds the nose down against a moment that the healthy aircraft
+    does not have [rad] (``runtime.advice``); 0: nothing, and they follow the reference until the elevator ends."""
+
     forecast_time: NotNegative = 0.0
     """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
     time constant [s]; 0 decides on each imagination alone."""
@@ -347,12 +352,13 @@ PRESETS: dict[str, Adaptation] = {
         effectiveness="structured",
         identify=False,
         prior="scheduled",
-        laws=("indi-rls-signfree", "pid"),
-        first="indi-rls-signfree",
+        laws=("indi-rls-protected", "pid"),
+        first="indi-rls-protected",
         bandwidths=(1.0,),
         margin=0.5,
         margin_trusted=0.1,
         excitation=math.radians(5.0),
+        elevator_reserve=math.radians(2.5),
         head_start=15.0,
         head_start_short=0.5,
         forecast_time=0.2,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from runtime.advice import highest_alpha, sure_signs
 from runtime.identification import IncrementalModel
 from runtime.laws.law import Law
 from runtime.population import BehaviouralPolicy
@@ -62,15 +63,17 @@ class Ensemble:
         return self._action
 
     def _tell(self) -> None:
-        """Tell the laws what is believed to become of their commands, and after an alarm what surfaces do for sure."""
+        """Tell the laws what is believed of their commands, of the elevator and, after an alarm, of the surfaces."""
         found = self._model.effectiveness
         if found is None:
             return
         believed = found.hypotheses[found.evidence.believed]
         news = found.searching
-        sure = found.sure if news or any(law.informed for law in self._laws) else None
+        sure = sure_signs(found) if news or any(law.informed for law in self._laws) else None
+        highest = highest_alpha(found, self._model.settings.elevator_reserve)
         for law in self._laws:
             law.match(believed.delay, believed.order, believed.rate)
+            law.limit_alpha(highest)
             if sure is not None:
                 law.inform(sure, news)
 

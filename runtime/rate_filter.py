@@ -93,6 +93,10 @@ class RateFilters:
         if known is not None:
             np.matmul(known, self._effects_transposed, out=self.known_step)
 
+    def effect(self, axis: int, surface: int) -> float:
+        """Return the acceleration of p, q or r by a healthy surface, as last linearised [rad/s2 per rad]."""
+        return self._effects.item(axis, surface) / self.dt
+
     def predict(self) -> None:
         """Take s and P one sample on, with F and the drift as linearised."""
         np.matmul(self.F_rates, self._s_column, out=self._stepped)

@@ -16,13 +16,13 @@ from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
 from runtime.opening import Opening, Recollection
 from runtime.ranges import Ranges
-from runtime.rate_filter import LAMBDA, SLOPES, B, N, RateFilters, W
+from runtime.rate_filter import ALPHA_MID, LAMBDA, SLOPES, B, N, RateFilters, W
 from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
 from task.actuators import ACTUATOR
 from task.limits import DT
 from task.rates import KNEE, RATES, RateModel, washout
-from task.state import N_ACTION, N_IDENTIFIED, STATE
+from task.state import ACTION, N_ACTION, N_IDENTIFIED, STATE
 
 LOW_KNEE = math.radians(-3.0)
 """Angle of attack below which the model errs too. Soon after an alarm what surfaces do errs more."""
@@ -42,8 +42,6 @@ class Effectiveness:
     """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
-    SIGNED, SIGNED_SD = 0.1, 3.0
-    """A sign is known for sure when lambda is beyond the first by so many standard deviations [-]."""
     STEADY = 0.1
     """Of the doubt about the bias when the filters open, where only a range is looked for."""
 
@@ -148,17 +146,25 @@ class Effectiveness:
         return sd
 
     @property
-    def sure(self) -> list[float | None]:
-        """Return lambda (3,), None where its sign is not known for sure; a surface that stops short has none."""
-        return [
-            each if surface != self.limited and abs(each) - self.SIGNED_SD * sd > self.SIGNED else None
-            for surface, (each, sd) in enumerate(zip(self.effectiveness.tolist(), self.sd.tolist(), strict=True))
-        ]
-
-    @property
     def bias(self) -> np.ndarray:
         """Return b (3,) [rad/s2]."""
         return self.filter.s[self.evidence.believed, B]
+
+    @property
+    def pitching(self) -> float:
+        """Return q' of the last sample, as the model has it [rad/s2]."""
+        return self.increment.item(STATE.q) / self._dt
+
+    @property
+    def nose_up(self) -> float:
+        """Return q' that the healthy aircraft would not have here, whatever it comes from [rad/s2]."""
+        f, i = self.filter, self.evidence.believed
+        return f.s.item(i, B.start + 1) + f.s.item(i, SLOPES.start) * (self._x[STATE.alpha] - ALPHA_MID)
+
+    @property
+    def elevator_effect(self) -> float:
+        """Return q' of the elevator, as it works now [rad/s2 per rad]; negative unless it is reversed."""
+        return self.filter.effect(STATE.q, ACTION.de) * self.effectiveness.item(ACTION.de)
 
     @property
     def rates(self) -> np.ndarray:
@@ -206,6 +212,11 @@ class Effectiveness:
     def searching(self) -> bool:
         """Whether an alarm has opened the filters, less than ``watch`` ago."""
         return self.known and self._opening.searching
+
+    @property
+    def alpha(self) -> float:
+        """Return the angle of attack that was seen last [rad]."""
+        return self._x[STATE.alpha]
 
     @property
     def near_stall(self) -> bool:

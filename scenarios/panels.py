@@ -29,6 +29,7 @@ MODE_COLOURS = {
     "pid": "#8c6d31",
     "indi": "#9a9a9a",
     "indi-rls-signfree": "#000000",
+    "indi-rls-protected": "#8c564b",
 }
 """Okabe and Ito's colours, told apart by the colour-blind; the recipe gives the hue, hard or soft its depth."""
 ROOM_FOR_LABEL = 10.0

@@ -25,7 +25,7 @@ class Mode(NamedTuple):
     name: str
     preset: Literal["thesis", "understudy", "structured", "ensemble"]
     switch: Literal["none", "hard", "soft"]
-    law: Literal["pid", "indi", "indi-rls-signfree"] | None = None
+    law: Literal["pid", "indi", "indi-rls-signfree", "indi-rls-protected"] | None = None
     """A classical law that flies in the population's place (docs/laws.md)."""
 
 
@@ -49,6 +49,7 @@ PEERS: dict[str, Mode] = {
     "pid": Mode("pid", "understudy", "none", "pid"),
     "indi": Mode("indi", "understudy", "none", "indi"),
     "indi-rls-signfree": Mode("indi-rls-signfree", "understudy", "none", "indi-rls-signfree"),
+    "indi-rls-protected": Mode("indi-rls-protected", "understudy", "none", "indi-rls-protected"),
 }
 """Classical laws on the same link, references and faults; flown when they are asked for."""
 
@@ -66,6 +67,7 @@ ModeName = Literal[
     "pid",
     "indi",
     "indi-rls-signfree",
+    "indi-rls-protected",
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 from typing import get_args
 
@@ -14,6 +15,7 @@ from runtime.laws.pid import PID, PIDGains
 from runtime.laws.solo import Solo
 from task.config import Settings, load_json, read_bytes
 from task.limits import DT
+from task.reward import UNSAFE_ALPHA
 
 SETTINGS = Path(__file__).parent / "citation.json"
 
@@ -42,10 +44,10 @@ def make_law(name: LawName, settings: LawSettings, dt: float = DT) -> Law:
     """Return a law at the start of a flight; dt is the sample time of the loop [s]."""
     if name == "pid":
         return PID(settings.airframe, settings.pid, dt)
-    estimate = None
+    estimate, protected = None, name == "indi-rls-protected"
     if name != "indi":
-        estimate = Effectiveness(settings.airframe, settings.estimate, sign_free=name == "indi-rls-signfree")
-    return INDI(settings.airframe, settings.indi, estimate, name, dt)
+        estimate = Effectiveness(settings.airframe, settings.estimate, sign_free=name != "indi-rls")
+    return INDI(settings.airframe, settings.indi, estimate, name, dt, UNSAFE_ALPHA if protected else math.inf)
 
 
 def load_solo(name: LawName, dt: float = DT, path: Path = SETTINGS) -> Solo:

@@ -19,7 +19,7 @@ from task.state import ACTION, N_ACTION, REFERENCE, STATE
 _MOTION = [int(i) for i in (STATE.p, STATE.q, STATE.r, STATE.alpha, STATE.beta)]
 MAX_DELAY = 20
 """Longest delay that the law can be matched to [samples]."""
-_R, _ALPHA, _BETA = 2, 3, 4
+_Q, _R, _ALPHA, _BETA = 1, 2, 3, 4
 """Places of alpha and beta among the filtered signals; p, q, r come first, the commands last."""
 
 
@@ -53,7 +53,11 @@ class INDI(Law):
 
     A member of a cast is told what becomes of its commands (:meth:`match`): then u_f is the older command that acts, of
     the surface that it moves, and the loops ask for no more than the delay lets them: ``REACH`` over it. And it is told
-    when a surface works the other way round (:meth:`inform`), until it has found that out itself.
+    when a surface works the other way round (:meth:`inform`), until it has found that out itself. It is told how high
+    an angle of attack the elevator can hold (:meth:`limit_alpha`), and asks for no pitch rate that would go beyond it,
+    or beyond the one that it is made with:
+
+        q <= q_f - alpha_dot_f + PROTECTION (alpha_highest - alpha)
     """
 
     REACH = 0.5
@@ -65,9 +69,19 @@ class INDI(Law):
     CASCADE = 0.4
     """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
 
+    PROTECTION = 2.0
+    """Approach of the highest angle of attack over what is left to it [1/s]."""
+
     def __init__(
-        self, airframe: Airframe, gains: INDIGains, estimate: Effectiveness | None, name: str = "indi", dt: float = DT
+        self,
+        airframe: Airframe,
+        gains: INDIGains,
+        estimate: Effectiveness | None,
+        name: str = "indi",
+        dt: float = DT,
+        alpha_limit: float = math.inf,
     ) -> None:
+        """alpha_limit: angle of attack that is never asked for [rad]."""
         super().__init__(airframe, dt)
         self.name = name
         self.estimate = estimate
@@ -87,6 +101,7 @@ class INDI(Law):
         self._commanded = False
         self._told: list[float | None] = [None] * N_ACTION
         """Effectiveness over nominal, where the law was told and goes by it [-]."""
+        self._highest = self._alpha_limit = alpha_limit
         self._samples = 0
 
     def reset(self) -> None:
@@ -94,7 +109,7 @@ class INDI(Law):
         super().reset()
         self._commanded = False
         self._told = [None] * N_ACTION
-        self._rate = math.inf
+        self._highest, self._rate = self._alpha_limit, math.inf
         self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
             self.estimate.reset()
@@ -131,6 +146,10 @@ class INDI(Law):
         for surface, (found, own) in enumerate(zip(sure, self._own, strict=True)):
             wrong = found is not None and found * own < 0.0
             self._told[surface] = found if wrong and (news or self._told[surface] is not None) else None
+
+    def limit_alpha(self, highest: float) -> None:
+        """Take the highest angle of attack that the elevator can hold [rad], infinite for any."""
+        self._highest = min(highest, self._alpha_limit)
 
     @property
     def informed(self) -> bool:
@@ -184,6 +203,10 @@ class INDI(Law):
             (theta_rate + r * sin_phi) / self._cos_phi,
             (side - beta_rate) / cos_alpha,
         )
+        if self._highest < math.inf:
+            p_wanted, q_wanted, r_wanted = rates
+            turning = self._signal.item(_Q) + self._start.item(_Q) - self._moved.item(_ALPHA) / self._dt
+            rates = p_wanted, min(q_wanted, turning + self.PROTECTION * (self._highest - now[STATE.alpha])), r_wanted
         missing = [
             k * (rate - measured) - acceleration
             for k, rate, measured, acceleration in zip(
@@ -254,6 +277,8 @@ class INDI(Law):
 
     def linear(self) -> LinearLaw:
         """Return the law with its filters as memory; rudder saturation is not seen by elevator and aileron.
+
+        Nor is the highest angle of attack.
 
         Of the two filtered signals, B^-1 omega_dot - u of each surface and beta_dot + r cos alpha, the memory holds the
         low-pass's two states. Bank and pitch rates, of which the law forms its errors, are those of the attitude:

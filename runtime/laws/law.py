@@ -95,6 +95,9 @@ class Law:
         alarm came lately.
         """
 
+    def limit_alpha(self, highest: float) -> None:
+        """Take the highest angle of attack that the elevator can hold [rad]; a law that cannot use it ignores it."""
+
     @property
     def informed(self) -> bool:
         """Return whether the law goes by what it was told of a surface, and not by what it found itself."""

@@ -7,11 +7,12 @@ import json
 import click.testing
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from export.cli import export
 from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population, save_run
-from export.screening import SCREENED, Screening, ScreeningSettings, annotated, flights, screen
+from export.screening import SCREENED, Screening, ScreeningSettings, annotated, fit, flights, screen
 from runtime.population import load_population
 from task.errors import UserError
 from task.state import ACTION, OBSERVATION
@@ -75,6 +76,23 @@ def test_scores_go_beside_those_of_the_run(seen):
     assert scores["screening_cases_passed"] == seen.passed(TRACKS)
     assert population.description.training["screening"]["verdicts"]["hard_over"] == seen.verdict(HARD_OVER)
     assert population.description.training["seed"] == 5
+
+
+def test_who_keeps_the_constraints_in_no_case_is_left_out_when_asked_for(seen):
+    population, screening, left_out = fit(cast(), seen)
+    names = [member.name for member in population.description.members]
+    assert names == [name for i, name in enumerate(("hard_over", "tracks", "idle", "mirror")) if seen.passed(i)]
+    assert "hard_over" in left_out
+    assert left_out["hard_over"] == seen.verdict(HARD_OVER)
+    tracks = names.index("tracks")
+    np.testing.assert_array_equal(population.parameters[tracks], cast().parameters[TRACKS])
+    assert screening.verdict(tracks) == seen.verdict(TRACKS)
+    said = annotated(population, screening, left_out).description.training["screening"]
+    assert said["left_out"] == left_out
+    assert set(said["verdicts"]) == set(names)
+    worst = cast().description
+    with pytest.raises(UserError, match="hard_over: keeps the safety constraints in no case"):
+        fit(Population(replace(worst, champion="hard_over"), cast().parameters), seen)
 
 
 def test_the_command_writes_a_card_and_the_runtime_reads_the_folder(tmp_path):

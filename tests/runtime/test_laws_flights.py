@@ -18,7 +18,7 @@ from task.state import ACTION, STATE
 
 DURATION = 40.0
 ROWS = base_reference(DURATION, 0.056)
-NOMINAL_BOUND = {"pid": 0.42, "indi": 0.2, "indi-rls": 0.2, "indi-rls-signfree": 0.2}
+NOMINAL_BOUND = {"pid": 0.42, "indi": 0.2, "indi-rls": 0.2, "indi-rls-signfree": 0.2, "indi-rls-protected": 0.2}
 """Largest nMAE on the healthy aircraft [%]; the reference is twice as fast as the one of the published figures."""
 
 

@@ -164,7 +164,11 @@ def test_the_hash_is_the_settings(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ([], "expected either --population FOLDER or --law pid|indi|indi-rls|indi-rls-signfree, got none of them"),
+        (
+            [],
+            "expected either --population FOLDER or --law "
+            "pid|indi|indi-rls|indi-rls-signfree|indi-rls-protected, got none of them",
+        ),
         (["--law", "pid", "--population", "x"], "got both"),
         (["--law", "pid", "--switch", "soft"], "--law pid: flies alone; expected --switch none"),
     ],

@@ -1,0 +1,103 @@
+"""What laws are told: how high an angle of attack the elevator holds, and what INDI makes of it."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from runtime.advice import ELEVATOR_FOR_ALPHA, NOSE_UP, STEEPEST, highest_alpha
+from runtime.laws.catalogue import load_settings, make_law
+from runtime.structured import Effectiveness
+from sim_bridge.plant import NOMINAL, Plant
+from task.limits import DEFLECTION_LIMIT, DT
+from task.state import STATE
+from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
+
+RESERVE = math.radians(2.5)
+
+
+@dataclass
+class Stuck:
+    any: bool = False
+
+
+@dataclass
+class Found:
+    """What is believed of an aircraft whose elevator holds the nose down with 5 deg."""
+
+    known: bool = True
+    alpha: float = 0.05
+    elevator_effect: float = -12.5
+    nose_up: float = 1.0
+    pitching: float = 0.0
+    elevator: float = math.radians(5.0)
+    stuck: Stuck = field(default_factory=Stuck)
+
+    def followed(self):
+        return np.array([[0.0, 0.0, 0.0], [self.elevator, 0.0, 0.0]])
+
+
+def test_what_is_left_of_the_elevator_is_what_the_angle_of_attack_may_grow_by():
+    assert ELEVATOR_FOR_ALPHA == 1.0
+    assert highest_alpha(Found(), RESERVE) == pytest.approx(0.05 + math.radians(10.0 - 2.5 - 5.0))
+    # pitching up already: what stops it is needed as well
+    assert highest_alpha(Found(pitching=0.25), RESERVE) == pytest.approx(0.05 + math.radians(2.5) - 0.02)
+    assert highest_alpha(Found(elevator=DEFLECTION_LIMIT, pitching=3.0), RESERVE) == pytest.approx(0.05 - STEEPEST)
+
+
+@pytest.mark.parametrize(
+    ("why", "found", "reserve"),
+    [
+        ("nothing is to be kept", Found(), 0.0),
+        ("the filters do not run", Found(known=False), RESERVE),
+        ("a sensor stands still", Found(stuck=Stuck(any=True)), RESERVE),
+        ("the elevator is reversed", Found(elevator_effect=12.5), RESERVE),
+        ("the elevator is dead", Found(elevator_effect=-0.5), RESERVE),
+        ("the moment is that of a healthy aircraft", Found(nose_up=0.9 * 12.5 * NOSE_UP), RESERVE),
+        ("the moment is nose down", Found(nose_up=-1.0), RESERVE),
+    ],
+)
+def test_otherwise_any_angle_of_attack_will_do(why, found, reserve):
+    assert highest_alpha(found, reserve) == math.inf, why
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+def test_the_filters_find_the_moment_and_what_the_elevator_makes_up_for(noise):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    assert highest_alpha(found, RESERVE) == math.inf
+    watch(found, aircraft, 500)
+    assert highest_alpha(found, RESERVE) == math.inf
+    effect, moment, step = found.elevator_effect, 2.0, aircraft.step
+    quiet = aircraft.command
+
+    def pushed(u):
+        step(u)
+        aircraft.w[1] += DT * moment
+
+    aircraft.step = pushed
+    aircraft.command = lambda: quiet() * [0.2, 1.0, 1.0] - [moment / effect, 0.0, 0.0]
+    watch(found, aircraft, 300)
+    assert found.nose_up == pytest.approx(moment, abs=0.15)
+    held = DEFLECTION_LIMIT - RESERVE + moment / effect
+    assert highest_alpha(found, RESERVE) == pytest.approx(found.alpha + held, abs=0.02)
+
+
+@pytest.mark.parametrize("highest", [math.inf, 0.2, 0.08, 0.0])
+def test_an_indi_asks_for_no_pitch_rate_that_goes_beyond_the_angle_of_attack_that_it_was_told(highest):
+    law, plant = make_law("indi", load_settings(), DT), Plant()
+    x = plant.reset(NOMINAL).copy()
+    reference = x[[STATE.theta, STATE.phi, STATE.beta]] + [math.radians(10.0), 0.0, 0.0]
+    alphas = []
+    for _ in range(300):
+        law.limit_alpha(highest)
+        action = law.steer(x, reference)
+        law.sent(action)
+        x = plant.step(action).copy()
+        alphas.append(x[STATE.alpha])
+    assert max(alphas) < max(highest, alphas[0]) + 0.005
+    if highest < alphas[0]:
+        assert alphas[-1] == pytest.approx(highest, abs=0.01)
+    elif highest == math.inf:
+        assert max(alphas) > 0.1
+        assert x[STATE.theta] == pytest.approx(reference[0], abs=0.01)
