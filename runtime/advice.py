@@ -46,6 +46,6 @@ def highest_alpha(found: Effectiveness, reserve: float) -> float:
     effect = found.elevator_effect
     if effect > -WORKS or found.nose_up < -effect * NOSE_UP:
         return math.inf
-    needed = found.followed().item(-1, ACTION.de) - found.pitching / effect
+    needed = found.acted.item(ACTION.de) - found.pitching / effect
     left = (DEFLECTION_LIMIT - reserve - needed) / ELEVATOR_FOR_ALPHA
     return found.alpha + max(left, -STEEPEST)

@@ -279,6 +279,11 @@ class Effectiveness:
             commands[:, surface] = commands[:, surface].clip(*self.ranges.of[surface].ends)
         return commands
 
+    @property
+    def acted(self) -> np.ndarray:
+        """Return the commands (3,) [rad] that are believed to have acted in the last sample."""
+        return self._inputs.u[self.evidence.believed]
+
     def moved(self, out: np.ndarray) -> None:
         """Set the increment (3,) [rad] of healthy deflection that would have moved the last increment of the state."""
         inputs, believed = self._inputs, self.evidence.believed

@@ -34,8 +34,9 @@ class Found:
     elevator: float = math.radians(5.0)
     stuck: Stuck = field(default_factory=Stuck)
 
-    def followed(self):
-        return np.array([[0.0, 0.0, 0.0], [self.elevator, 0.0, 0.0]])
+    @property
+    def acted(self):
+        return np.array([self.elevator, 0.0, 0.0])
 
 
 def test_what_is_left_of_the_elevator_is_what_the_angle_of_attack_may_grow_by():

@@ -26,7 +26,7 @@ def flown(tmp_path_factory):
     scenario, citation = load_scenario(find("cg_beyond_neutral")), load_population(ROOT / "populations" / "citation")
     (reference,) = build(scenario, ROOT)
     found = {}
-    for reserve in (0.0, 2.5):
+    for reserve in (0.0, 1.5):
         link = WorldLink(World(scenario.flight), reference.rows)
         log = tmp_path_factory.mktemp("reserve") / "flight.ulg"
         configuration = resolve("ensemble", None, (f"elevator_reserve={np.deg2rad(reserve)}",))
@@ -38,7 +38,7 @@ def flown(tmp_path_factory):
 
 
 def test_without_a_reserve_the_aircraft_is_lost_and_with_one_it_is_kept(flown):
-    (short, _), (long, error) = flown[0.0], flown[2.5]
+    (short, _), (long, error) = flown[0.0], flown[1.5]
     assert short < 45.0
     assert long == pytest.approx(50.0, abs=0.02)
     assert error < 10.0
