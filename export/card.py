@@ -95,6 +95,7 @@ def _screened(population: Population, screening: Screening) -> dict[str, Any]:
         "flown": sum(scores.lost.shape[1] for scores in screening.scores.values()),
         "cases": _cases(population, screening),
         "rows": _members(population, screening),
+        "left_out": list(population.description.training.get("screening", {}).get("left_out", ())),
     }
 
 

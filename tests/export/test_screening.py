@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from export.card import card
 from export.cli import export
 from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population, save_run
@@ -87,9 +88,12 @@ def test_who_keeps_the_constraints_in_no_case_is_left_out_when_asked_for(seen):
     tracks = names.index("tracks")
     np.testing.assert_array_equal(population.parameters[tracks], cast().parameters[TRACKS])
     assert screening.verdict(tracks) == seen.verdict(TRACKS)
-    said = annotated(population, screening, left_out).description.training["screening"]
+    fitting = annotated(population, screening, left_out)
+    said = fitting.description.training["screening"]
     assert said["left_out"] == left_out
     assert set(said["verdicts"]) == set(names)
+    assert f"broken aircraft:\n{', '.join(left_out)}." in card(fitting, "fitting", {}, screening)
+    assert "Nobody is removed" in card(annotated(cast(), seen), "all", {}, seen)
     worst = cast().description
     with pytest.raises(UserError, match="hard_over: keeps the safety constraints in no case"):
         fit(Population(replace(worst, champion="hard_over"), cast().parameters), seen)
@@ -104,15 +108,22 @@ def test_the_command_writes_a_card_and_the_runtime_reads_the_folder(tmp_path):
     arguments += ["--screening", str(tmp_path / "screening.toml")]
     result = click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    card = (target / "MODEL_CARD.md").read_text()
+    written = (target / "MODEL_CARD.md").read_text()
     for text in ("# four", "4 flight policies", "Champion: **tracks**", "| hard_over | 0 |", "none: from scratch"):
-        assert text in card
-    assert max(map(len, card.splitlines())) < 1000
+        assert text in written
+    assert max(map(len, written.splitlines())) < 1000
     loaded = load_population(target)
     assert loaded.manifest.members[TRACKS].scores["screening_lost"] >= 0.0
     manifest = json.loads((target / "manifest.json").read_bytes())
     assert "MODEL_CARD.md" in manifest["files"]
     assert set(manifest["training"]["screening"]["verdicts"]) == {"hard_over", "tracks", "idle", "mirror"}
+
+
+def test_who_is_fit_is_not_known_without_a_screening(tmp_path):
+    save_run(cast(), tmp_path / "run")
+    arguments = [str(tmp_path / "run"), str(tmp_path / "out"), "--only-fit", "--no-screening"]
+    with pytest.raises(UserError, match="--only-fit: who is fit is what the screening says"):
+        click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
 
 
 def test_settings_that_mean_nothing_are_refused_before_anything_is_flown(tmp_path):
