@@ -10,9 +10,10 @@ from runtime.advice import highest_alpha, sure_signs
 from runtime.identification import IncrementalModel
 from runtime.laws.law import Law
 from runtime.population import BehaviouralPolicy
+from runtime.stuck import SIGNALS
 from runtime.switching import Cast
 from task.laws import LinearLaw
-from task.state import N_ACTION
+from task.state import N_ACTION, STATE
 
 
 class Ensemble:
@@ -71,9 +72,10 @@ class Ensemble:
         news = found.searching
         sure = sure_signs(found) if news or any(law.informed for law in self._laws) else None
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
+        seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
         for law in self._laws:
             law.match(believed.delay, believed.order, believed.rate)
-            law.limit_alpha(highest)
+            law.limit_alpha(highest, seen)
             if sure is not None:
                 law.inform(sure, news)
 

@@ -147,9 +147,13 @@ class INDI(Law):
             wrong = found is not None and found * own < 0.0
             self._told[surface] = found if wrong and (news or self._told[surface] is not None) else None
 
-    def limit_alpha(self, highest: float) -> None:
-        """Take the highest angle of attack that the elevator can hold [rad], infinite for any."""
-        self._highest = min(highest, self._alpha_limit)
+    def limit_alpha(self, highest: float, seen: bool) -> None:
+        """Take the highest angle of attack that the elevator can hold [rad], infinite for any.
+
+        An angle of attack that cannot be believed limits nothing: where it stands still above the limit, the nose would
+        be lowered without end.
+        """
+        self._highest = min(highest, self._alpha_limit) if seen else math.inf
 
     @property
     def informed(self) -> bool:

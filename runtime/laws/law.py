@@ -95,8 +95,11 @@ class Law:
         alarm came lately.
         """
 
-    def limit_alpha(self, highest: float) -> None:
-        """Take the highest angle of attack that the elevator can hold [rad]; a law that cannot use it ignores it."""
+    def limit_alpha(self, highest: float, seen: bool) -> None:
+        """Take the highest angle of attack that the elevator can hold; a law that cannot use it ignores it.
+
+        highest: [rad], infinite for any; seen: whether the angle of attack that the law reads can be believed.
+        """
 
     @property
     def informed(self) -> bool:

@@ -9,8 +9,12 @@ import pytest
 from runtime.advice import ELEVATOR_FOR_ALPHA, NOSE_UP, STEEPEST, highest_alpha
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.structured import Effectiveness
+from sim_bridge.faults import Icing
+from sim_bridge.flight import Flight
 from sim_bridge.plant import NOMINAL, Plant
+from sim_bridge.world import World
 from task.limits import DEFLECTION_LIMIT, DT
+from task.reward import UNSAFE_ALPHA, terminated
 from task.state import STATE
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
@@ -91,7 +95,7 @@ def test_an_indi_asks_for_no_pitch_rate_that_goes_beyond_the_angle_of_attack_tha
     reference = x[[STATE.theta, STATE.phi, STATE.beta]] + [math.radians(10.0), 0.0, 0.0]
     alphas = []
     for _ in range(300):
-        law.limit_alpha(highest)
+        law.limit_alpha(highest, seen=True)
         action = law.steer(x, reference)
         law.sent(action)
         x = plant.step(action).copy()
@@ -102,3 +106,42 @@ def test_an_indi_asks_for_no_pitch_rate_that_goes_beyond_the_angle_of_attack_tha
     elif highest == math.inf:
         assert max(alphas) > 0.1
         assert x[STATE.theta] == pytest.approx(reference[0], abs=0.01)
+
+
+def test_an_angle_of_attack_that_stands_still_limits_nothing():
+    """Stuck above the limit it would have the nose lowered without end."""
+    law, plant = make_law("indi-rls-protected", load_settings(), DT), Plant()
+    x = plant.reset(NOMINAL).copy()
+    reference = x[[STATE.theta, STATE.phi, STATE.beta]].copy()
+    pitch = []
+    for seen in (True, False):
+        x = plant.reset(NOMINAL).copy()
+        law.reset()
+        for _ in range(300):
+            law.limit_alpha(math.inf, seen)
+            x[STATE.alpha] = UNSAFE_ALPHA + 0.05
+            action = law.steer(x, reference)
+            law.sent(action)
+            x = plant.step(action).copy()
+        pitch.append(x[STATE.theta] - reference[0])
+    assert pitch[0] < -0.1
+    assert pitch[1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_protected_law_keeps_an_iced_aircraft_that_the_others_take_into_the_stall():
+    flown = []
+    for name in ("indi-rls-signfree", "indi-rls-protected"):
+        world = World(Flight(duration=30.0, faults=(Icing(start=5.0),)))
+        law = make_law(name, load_settings(), DT)
+        climb = np.array([0.25, 0.0, 0.0])
+        level = world.x[[STATE.theta, STATE.phi, STATE.beta]].copy()
+        for k in range(3000):
+            rows = level + min(max(0.008 * (k - 700), 0.0), 1.0) * climb
+            action = law.steer(world.measured, rows)
+            law.sent(action)
+            world.step(action)
+            if terminated(world.x):
+                break
+        flown.append((k + 1) * DT)
+    assert flown[0] < 30.0
+    assert flown[1] == 30.0
