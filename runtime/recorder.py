@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from runtime.advice import highest_alpha
 from runtime.config import Configuration
 from runtime.link import Severity
 from runtime.structured import Effectiveness
@@ -160,9 +161,11 @@ class Recorder:
                 ("float", "confidence"),
                 ("uint8_t", "stuck"),
                 ("uint8_t", "excited"),
+                ("float", "alpha_highest"),
             ],
         ) if structured else None  # fmt: skip
         self._log.begin()
+        self._reserve = configuration.adaptation.elevator_reserve
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
         self._write_beside("config", configuration)
@@ -214,7 +217,7 @@ class Recorder:
                 self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias, *low, *high,
                 found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
                 found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask,
-                1 << excited if excited >= 0 else 0,
+                1 << excited if excited >= 0 else 0, highest_alpha(found, self._reserve),
             )  # fmt: skip
 
     def play(self, time_usec: int, returns: np.ndarray, age: float, tick_asked: int, decision: Decision) -> None:
