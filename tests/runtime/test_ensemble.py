@@ -394,7 +394,8 @@ def test_a_surface_that_reverses_at_its_limit_is_found_by_moving_it_and_only_so(
     np.testing.assert_allclose(sent[excited[0], 0], np.radians(-5.0), atol=1e-6)
     assert found["lambda_de"][fault + 50] < -0.7
     plain, sent, found = fly("plain", "excitation=0")
-    assert plain.outcome is Outcome.LOST
     assert plain.summary.pulses == 0
     assert not found["excited"].any()
+    # Then the command does not move for a second, and nobody learns what it does; who survives that has been lucky.
     assert (sent[fault : fault + 100, 0] == -DEFLECTION_LIMIT).mean() > 0.9
+    assert (found["lambda_de"][fault + 10 : fault + 100] > -0.6).all()
