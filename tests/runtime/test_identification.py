@@ -78,7 +78,7 @@ def test_a_recursion_that_blew_up_starts_again_from_its_prior():
     assert np.allclose(rls.Theta, 0.5)
 
 
-def test_learning_allocates_nothing():
+def test_learning_allocates_nothing(without_collections):
     rng = np.random.default_rng(3)
     z, y = rng.normal(size=(100, 13)), rng.normal(size=(100, 10))
     rls = RecursiveLeastSquares(np.zeros((13, 10)), np.eye(13), 0.9995)

@@ -216,11 +216,11 @@ class TestBehaviouralPolicy:
         assert np.isnan(policy.act(np.full(7, np.nan))).all()
         assert np.isfinite(policy.act(np.zeros(7))).all()
 
-    def test_a_call_leaves_nothing_behind(self, policy):
+    def test_a_call_leaves_nothing_behind(self, policy, without_collections):
         s = np.zeros(7)
         tracemalloc.start()
         try:
-            for _ in range(300):  # the interpreter's own lists of freed objects fill once, to a hundred
+            for _ in range(300):  # the interpreter's own lists of freed objects fill once
                 policy.act(s)
             before = tracemalloc.take_snapshot()
             for _ in range(1000):

@@ -169,7 +169,7 @@ def test_a_flight_that_starts_again_is_like_the_first():
     np.testing.assert_array_equal(seen[0][2], seen[1][2])
 
 
-def test_nothing_is_allocated_in_flight_that_stays():
+def test_nothing_is_allocated_in_flight_that_stays(without_collections):
     import tracemalloc
 
     aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
