@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from export.folder import write_population
+from export.gains import with_gains
 from export.mirrors import with_mirrors
 from export.population import TRAINING_RECORDS, load_run
 from export.prior import PriorSettings, model_prior
@@ -38,6 +39,9 @@ from task.errors import UserError
 @click.option(
     "--mirrors", is_flag=True, help="Add the champion with reversed commands, seven members, for reversed surfaces."
 )
+@click.option(
+    "--gains", is_flag=True, help="Add the champion with stronger and weaker answers to sideslip, rates and errors."
+)
 def export(
     run: Path,
     population: Path,
@@ -46,6 +50,7 @@ def export(
     no_screening: bool,
     only_fit: bool,
     mirrors: bool,
+    gains: bool,
 ) -> None:
     """Export the trained population in RUN to the folder POPULATION, whose name becomes the population's.
 
@@ -62,6 +67,8 @@ def export(
     trained = load_run(run)
     if mirrors:
         trained = with_mirrors(trained, str(run))
+    if gains:
+        trained = with_gains(trained, str(run))
     members, parameters = trained.parameters.shape
     click.echo(f"{run}: {members} members of {parameters} parameters, champion {trained.description.champion}")
     click.echo(

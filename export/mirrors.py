@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
-import msgspec
 import numpy as np
 
 from export.network import unflatten
-from export.population import Member, Population
+from export.population import Population, with_members
 from task.errors import UserError
 from task.state import ACTION, N_ACTION
 
@@ -40,13 +39,7 @@ def with_mirrors(population: Population, where: str) -> Population:
             f"{where}: --mirrors: expected a last layer of {' or '.join(ODD)} and action_offset 0, "
             f"got {last} and {network.action_offset}; export without --mirrors"
         )
-    names = [m.name for m in description.members]
-    champion = names.index(description.champion)
-    mirrors = [mirror_name(description.champion, axes) for axes in AXES]
-    taken = sorted(set(names) & set(mirrors))
-    if taken:
-        raise UserError(f"{where}: --mirrors: the population has members {', '.join(taken)} already")
-    rows = np.repeat(population.parameters[champion, None], len(AXES), axis=0)
+    rows = np.repeat(population.parameters[population.champion, None], len(AXES), axis=0)
     tensors = unflatten(network, rows)
     final = f"layers.{len(network.layers) - 1}."
     # A normalised layer's sign is in its gain and shift, another's in its weight and bias.
@@ -54,7 +47,5 @@ def with_mirrors(population: Population, where: str) -> Population:
     for mirror, axes in enumerate(AXES):
         for kind in kinds:
             tensors[final + kind][mirror, list(axes)] *= -1.0
-    members = (*description.members, *(Member(name=name, scores={}) for name in mirrors))
-    return Population(
-        msgspec.structs.replace(description, members=members), np.concatenate([population.parameters, rows])
-    )
+    names = [mirror_name(description.champion, axes) for axes in AXES]
+    return with_members(population, names, rows, f"{where}: --mirrors")

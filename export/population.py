@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from export.network import Network, Tensor, layout, n_parameters, validate
@@ -56,6 +58,20 @@ class Population(NamedTuple):
     def champion(self) -> int:
         """Return the champion's row."""
         return [m.name for m in self.description.members].index(self.description.champion)
+
+
+def with_members(population: Population, names: Sequence[str], parameters: np.ndarray, where: str) -> Population:
+    """Return the population with more members, parameters (N, K), behind its own.
+
+    Raises UserError, naming ``where``, when a name is taken.
+    """
+    description = population.description
+    if taken := sorted({m.name for m in description.members} & set(names)):
+        raise UserError(f"{where}: the population has members {', '.join(taken)} already")
+    members = (*description.members, *(Member(name=name) for name in names))
+    return Population(
+        msgspec.structs.replace(description, members=members), np.concatenate([population.parameters, parameters])
+    )
 
 
 def load_array(path: Path, what: str) -> np.ndarray:
