@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from scenarios.campaign.claims import claims
+from scenarios.campaign.claims import claims, hindsight
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
 from scenarios.campaign.statistics import interval, key, paired, suited, survival, time_to_suited, wilson
@@ -155,6 +155,22 @@ def test_targets_are_held_against_still_air_and_stated_sensors_alone():
         ">= 0",
         False,
     )  # pid flew two that both survive
+
+
+def test_hindsight_says_what_a_better_member_gains_without_adaptation():
+    records = []
+    for i, (good, calm) in enumerate(((1.0, 0.5), (1.0, 0.6), (1.0, 1.1))):
+        for member, nmae in (("good", good), ("calm", calm)):
+            records.append(flight("members", i, nmae, member, suite="easy"))
+    found = {c.claim: c.value for c in hindsight(Campaign(records, "good"))}
+    every, one = (f"in hindsight, {who}, easy, still air, sensors ideal" for who in (
+        "each flight's best member", "calm throughout"))  # fmt: skip
+    assert found == {
+        f"{every}: mean nMAE against no adaptation": pytest.approx(-30.0),
+        f"{every}: flights > 5 % worse": 0.0,
+        f"{one}: mean nMAE against no adaptation": pytest.approx(-26.67),
+        f"{one}: flights > 5 % worse": pytest.approx(33.33),
+    }
 
 
 def test_the_oracle_may_choose_laws_too():
