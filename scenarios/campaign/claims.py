@@ -14,7 +14,7 @@ from scenarios.campaign.mirrored import MIRRORED
 from scenarios.campaign.report import REVERSALS, by_group, healthy, short
 from scenarios.campaign.rows import FROZEN, NONE, ORACLE, ROBUST
 from scenarios.campaign.scores import Record
-from scenarios.campaign.statistics import Flights, Key, median, of_oracle, paired, survival
+from scenarios.campaign.statistics import Flights, Key, median, of_oracle, paired, stalled, survival
 from scenarios.campaign.table import Campaign
 from task.results import Claim
 
@@ -156,17 +156,28 @@ def hindsight(campaign: Campaign) -> list[Claim]:
 
 
 def peers(campaign: Campaign, ours: str) -> list[Claim]:
-    """Return by how much the best peer is better, in the fault of the easy suite where it is most."""
+    """Return by how much the best peer is better, in the fault of the easy suite where it is most.
+
+    Once over all flights, and once without those in which the peer holds the attitude of an aircraft that falls.
+    """
     flights = still(campaign.pick(ours, "easy"))
-    worst, where = math.nan, ""
-    for peer in (*PEERS, ROBUST):
-        theirs = campaign.pick(peer, "easy")
-        for fault in sorted({k[1] for k in flights}):
-            p = paired(*({k: r for k, r in row.items() if k[1] == fault} for row in (theirs, flights)))
-            if p.both and not p.of_means >= worst:
-                worst, where = p.of_means, f"{peer}, {fault}"
-    words = f"{ours}, easy, still air: where a peer's mean nMAE is furthest below ({where})"
-    return [claim(words, worst, "%", ">=", -10.0)]
+    found = []
+    for flying in (False, True):
+        worst, where, left_out = math.nan, "", 0
+        for peer in (*PEERS, ROBUST):
+            every = still(campaign.pick(peer, "easy"))
+            theirs = {k: r for k, r in every.items() if not (flying and stalled(r))}
+            left_out += sum(r.survived for k, r in every.items() if k not in theirs)
+            for fault in sorted({k[1] for k in flights}):
+                p = paired(*({k: r for k, r in row.items() if k[1] == fault} for row in (theirs, flights)))
+                if p.both and not p.of_means >= worst:
+                    worst, where = p.of_means, f"{peer}, {fault}"
+        words = f"{ours}, easy, still air: where a peer's mean nMAE is furthest below ({where})"
+        if not flying:
+            found.append(claim(words, worst, "%", ">=", -10.0))
+        elif left_out:
+            found.append(claim(f"{words}, without {left_out} flights of peers on a stalled wing", worst, "%"))
+    return found
 
 
 def identified(campaign: Campaign, ours: str) -> list[Claim]:

@@ -9,7 +9,7 @@ from typing import Any
 from scenarios.campaign.design import DURATION
 from scenarios.campaign.rows import DERIVED, MEMBERS, NONE, ORACLE
 from scenarios.campaign.scores import Record
-from scenarios.campaign.statistics import Key, alive, mean, median, of_oracle, paired, survival, wilson
+from scenarios.campaign.statistics import Key, alive, mean, median, of_oracle, paired, stalls, survival, wilson
 from scenarios.campaign.suites import SUITES, load_suite
 from scenarios.campaign.table import Campaign
 from task.results import Table
@@ -41,7 +41,7 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
     columns = [
         "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "95 % from", "to",
         "nMAE %", "theta %", "phi %", "|beta| deg", "over oracle",
-        "Sm rad Hz", "largest step deg", "switches", "alarms", "suited member s", "worst s", "never %",
+        "stalled %", "Sm rad Hz", "largest step deg", "switches", "alarms", "suited member s", "worst s", "never %",
     ]  # fmt: skip
     oracle = campaign.pick(ORACLE, suite)
     body = []
@@ -55,7 +55,8 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
         body.append([
             row, len(flights), *rate(flights, oracle), *rate(flights),
             *(short(mean([getattr(r, name) for r in kept])) for name in ("nmae", "nmae_theta", "nmae_phi", "beta_deg")),
-            short(of_oracle(flights, oracle), 3), short(median([r.smoothness for r in kept]), 3),
+            short(of_oracle(flights, oracle), 3), short(stalls(flights), 3),
+            short(median([r.smoothness for r in kept]), 3),
             short(max((r.largest_step for r in kept), default=math.nan), 3),
             *(short(mean([getattr(r, what) for r in flights.values()]), 3) for what in ("switches", "alarms")),
             short(median(known), 3), short(max(known, default=math.nan), 3),

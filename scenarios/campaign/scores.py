@@ -12,9 +12,14 @@ from scenarios.campaign.design import Cell
 from task.limits import DT
 from task.metrics import channel_nmae, smoothness
 from task.observation import tracking_error
-from task.state import REFERENCE
+from task.state import REFERENCE, STATE
 
 NAN = float("nan")
+STALL = math.radians(12.0)
+"""Angle of attack at which the aircraft's tables end [rad]; lift is greatest at 10.8 deg, and up to a third less here.
+
+Attitude can still be held beyond, by an aircraft that falls.
+"""
 OF_THE_CELL = (
     "suite", "fault", "group", "index", "half", "moment", "references", "trim", "sensors", "air", "preview", "fault_at",
 )  # fmt: skip
@@ -72,6 +77,8 @@ class Record(msgspec.Struct, kw_only=True):
     """Sm of eq. 16 [rad Hz]."""
     largest_step: float = NAN
     """Largest change of a command from one sample to the next [deg]."""
+    stalled: float = NAN
+    """For how long the angle of attack was beyond ``STALL`` [s]."""
     switches: int = 0
     """Changes of the cast from the fault on."""
     switches_before: int = 0
@@ -151,4 +158,5 @@ def score(cell: Cell, row: str, member: str, flown: Flown, events: Events) -> Re
     record.beta_deg = math.degrees(float(np.abs(error[:, REFERENCE.beta]).mean()))
     record.smoothness = smoothness(command)
     record.largest_step = math.degrees(float(np.abs(np.diff(command, axis=0)).max(initial=0.0)))
+    record.stalled = DT * float((flown.x[first:, STATE.alpha] > STALL).sum())
     return record

@@ -132,6 +132,21 @@ def of_oracle(ours: Flights, oracle: Flights) -> float:
     return median([ours[k].nmae / oracle[k].nmae for k in both])
 
 
+STALLED = 1.0
+"""A flight is a stalled one when its wing was, for longer than this [s]."""
+
+
+def stalled(record: Record) -> bool:
+    """Return whether a flight was flown on a stalled wing; False where it was not looked at."""
+    return record.stalled > STALLED
+
+
+def stalls(flights: Flights) -> float:
+    """Return the share of stalled flights among the survivors that were looked at [%]; NaN of none."""
+    kept = [r for r in flights.values() if r.survived and not math.isnan(r.stalled)]
+    return _share(sum(map(stalled, kept)), len(kept))
+
+
 SUITED_RATIO, SUITED_OFFSET = 1.2, 0.2
 """A member suits a flight when it survives it with at most this times the oracle's nMAE, plus this [%]."""
 

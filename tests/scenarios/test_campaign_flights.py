@@ -18,7 +18,7 @@ from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
 from scenarios.campaign.members import Members
 from scenarios.campaign.rows import Row, choose_rows
-from scenarios.campaign.scores import Events, score
+from scenarios.campaign.scores import STALL, Events, score
 from scenarios.campaign.store import Journal, plain, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
@@ -103,6 +103,16 @@ def test_members_fly_together_as_each_alone(cast):
         lost += sum(not r.survived for r in together)
     assert lost >= 7
     assert members.fly(held, [0])[0].nmae != members.fly(ROUGH, [0])[0].nmae
+
+
+def test_a_wing_is_stalled_beyond_the_tables_from_the_fault_on():
+    first, ticks = round(REVERSED.fault_at / DT), round(SECONDS / DT)
+    x, rows = np.zeros((ticks, len(STATE))), np.zeros((ticks, 3))
+    x[first - 50 : first + 130, STATE.alpha] = STALL + 0.001  # half a second of it before the fault
+    x[-40:, STATE.alpha] = STALL - 0.001
+    flown = score(REVERSED, "none", "", Trace(x, np.zeros((ticks, 3)), rows), Events(REVERSED.fault_at, ""))
+    assert flown.survived
+    assert flown.stalled == pytest.approx(1.3)
 
 
 def test_flights_do_not_depend_on_those_before(cast):

@@ -10,7 +10,7 @@ import pytest
 from scenarios.campaign.claims import claims, hindsight
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
-from scenarios.campaign.statistics import interval, key, paired, suited, survival, time_to_suited, wilson
+from scenarios.campaign.statistics import interval, key, paired, stalls, suited, survival, time_to_suited, wilson
 from scenarios.campaign.table import Campaign
 from task.errors import UserError
 
@@ -171,6 +171,21 @@ def test_hindsight_says_what_a_better_member_gains_without_adaptation():
         f"{one}: mean nMAE against no adaptation": pytest.approx(-26.67),
         f"{one}: flights > 5 % worse": pytest.approx(33.33),
     }
+
+
+def test_a_peer_that_holds_the_attitude_of_a_falling_aircraft_is_named():
+    records = []
+    for i in range(3):
+        records += [flight("members", i, 5.0, "good", suite="easy"), flight("ensemble", i, 2.0, suite="easy")]
+        records += [flight("pid", i, (0.1, 1.9, 2.3)[i], suite="easy", stalled=(20.0, 0.4, NAN)[i])]
+    flown = Campaign(records, "good")
+    found = {c.claim: c for c in claims(flown, "ensemble", faithful=False)}
+    words = "ensemble, easy, still air: where a peer's mean nMAE is furthest below (pid, elevator x -1)"
+    every, flying = found[words], found[f"{words}, without 1 flights of peers on a stalled wing"]
+    assert (every.value, every.target, every.holds) == (pytest.approx(-28.33), ">= -10", False)
+    assert (flying.value, flying.target, flying.holds) == (pytest.approx(5.0), "", None)
+    assert stalls(flown.pick("pid")) == 50.0  # of two that were looked at
+    assert math.isnan(stalls(flown.pick("ensemble")))
 
 
 def test_the_oracle_may_choose_laws_too():
