@@ -19,6 +19,9 @@ SCHEMA = pa.schema([(f.encode_name, _KINDS[f.type]) for f in msgspec.structs.fie
 """One row for each flight; the columns are the fields of :class:`scenarios.campaign.scores.Record`."""
 
 
+_NEEDED = {f.encode_name for f in msgspec.structs.fields(Record) if f.required}
+
+
 class Entry(msgspec.Struct, kw_only=True):
     """One line of the journal: a task that was flown."""
 
@@ -93,12 +96,15 @@ class Stored(NamedTuple):
 
 
 def read_parquet(path: Path) -> Stored:
-    """Read what :func:`write_parquet` wrote. Raises UserError."""
+    """Read what :func:`write_parquet` wrote, now or before a column was added, which is then not known.
+
+    Raises UserError.
+    """
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowInvalid) as error:
         raise UserError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())[:160]}") from None
-    if table.schema.names != SCHEMA.names:
+    if not _NEEDED <= set(table.schema.names) <= set(SCHEMA.names):
         raise UserError(f"{path}: not flights of this campaign: its columns are {', '.join(table.schema.names[:6])}...")
     metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     return Stored([Record(**row) for row in table.to_pylist()], metadata)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import msgspec
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
@@ -162,6 +164,23 @@ def test_a_campaign_that_was_killed_goes_on_to_the_same_file(cast, tmp_path):
     stored = read_parquet(ours)
     assert len(stored.records) == 2 + 8
     assert {r.member for r in stored.records if r.row == "members"} >= {"good", "good/-e", "good/-ear"}
+
+
+def test_a_file_from_before_a_column_was_added_is_read_and_a_foreign_one_refused(tmp_path):
+    record = score(REVERSED, "none", "", Trace(np.zeros((5, 12)), np.zeros((5, 3)), np.zeros((5, 3))), Events(0.0, ""))
+    whole = write_parquet(
+        [msgspec.structs.replace(record, stalled=2.0)], tmp_path / "whole.parquet", {"half": "tuning"}
+    )
+    assert read_parquet(whole).records[0].stalled == 2.0
+    table = pq.read_table(whole)
+    pq.write_table(table.drop_columns(["stalled"]), tmp_path / "older.parquet")
+    older = read_parquet(tmp_path / "older.parquet")
+    assert math.isnan(older.records[0].stalled)
+    assert (older.records[0].fault, older.information) == (record.fault, {"half": "tuning"})
+    for name, foreign in (("less", table.drop_columns(["fault"])), ("more", table.append_column("x", table["nmae"]))):
+        pq.write_table(foreign, tmp_path / f"{name}.parquet")
+        with pytest.raises(UserError, match=f"{name}.parquet: not flights of this campaign: its columns are suite, "):
+            read_parquet(tmp_path / f"{name}.parquet")
 
 
 def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
