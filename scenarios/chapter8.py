@@ -120,7 +120,7 @@ def measured(scores: Scores, population: str, seeds: Sequence[int], seconds: flo
     if lost:
         notes.append("Lost flights: " + ", ".join(f"{count} in {mode}" for mode, count in lost.items()) + ".")
     return Result(
-        title="Chapter 8: a sudden shift of the centre of gravity",
+        title=f"Chapter 8: a sudden shift of the centre of gravity, cast {population}",
         command=command,
         seconds=round(seconds, 1),
         runs=sum(row.flights for row in rows),
@@ -135,16 +135,21 @@ def measured(scores: Scores, population: str, seeds: Sequence[int], seconds: flo
 @click.option("--references", "count", type=click.IntRange(min=1), default=12, show_default=True,
               help="How many references are flown in every mode.")  # fmt: skip
 @click.option("--population", help="Folder of the cast, or its name under populations/.  [default: the scenario's]")
-@click.option("--out", type=Path, default=Path("flights/chapter8"), show_default=True, help="Where the flights go.")
-@click.option("--results", type=Path, default=FOLDER, show_default=True, help="Where chapter8.json goes.")
+@click.option("--out", type=Path, help="Where the flights go.  [default: flights/NAME]")
+@click.option("--results", type=Path, default=FOLDER, show_default=True, help="Where NAME.json goes.")
 @click.option("--jobs", type=click.IntRange(min=1, max=64), help="Flights side by side.  [default: 2]")
 @click.option("--fresh", is_flag=True, help="Fly everything again.")
-def main(count: int, population: str | None, out: Path, results: Path, jobs: int | None, fresh: bool) -> None:
-    """Fly the sudden CG shift on many references in all modes; write results/chapter8.json."""
+def main(count: int, population: str | None, out: Path | None, results: Path, jobs: int | None, fresh: bool) -> None:
+    """Fly the sudden CG shift on many references in all modes; write results/NAME.json.
+
+    NAME is chapter8, with another cast than the scenario's chapter8_CAST.
+    """
     path = find(SCENARIO)
     scenario = load_scenario(path)
     scenario = msgspec.structs.replace(scenario, references=with_count(scenario.references, count))
     cast = find_population(population or scenario.population)
+    name = "chapter8" if cast.name == scenario.population else f"chapter8_{cast.name}"
+    out = out or Path("flights") / name
     screen = console()
     try:
         flown = fly_scenario(
@@ -158,7 +163,7 @@ def main(count: int, population: str | None, out: Path, results: Path, jobs: int
     # Of the flights themselves, whenever they were flown: a resumed run took no less.
     spent = sum(result.seconds for result in flown) / (jobs or default_jobs(realtime=False))
     command = f"make chapter8 POPULATION=populations/{cast.name} ARGS='--references {count}'"
-    file = write("chapter8", measured(scores, cast.name, scenario.references.seeds, spent, command), results)
+    file = write(name, measured(scores, cast.name, scenario.references.seeds, spent, command), results)
     report = write_report(scenario, flown, out)
     screen.print(f"\n{file}\nReport: {report}")
 
