@@ -55,7 +55,7 @@ lint: setup-dev ## Format and fix what can be fixed by itself
 train: setup-dev ## Train a population: CONFIG=serl50 | serl10 | td3; resumes where it stopped
 	$(BIN)/understudy train $(CONFIG) --out $(RUN) $(ARGS)
 
-export: setup-dev ## Export RUN to populations/CONFIG; shipped with ARGS=--only-fit
+export: setup-dev ## Export RUN to populations/CONFIG; serl50 is shipped with ARGS=--only-fit
 	$(BIN)/understudy export $(RUN) populations/$(CONFIG) $(ARGS)
 
 cast: setup-dev ## Breed the default cast, export it, measure it beside specialists and laws

@@ -145,6 +145,8 @@ def hindsight(campaign: Campaign) -> list[Claim]:
     With each flight's own best member, which no choice of one member can better, and with the one member of which the
     mean is lowest, flown throughout: what needs no adaptation.
     """
+    if not campaign.members:
+        return []
     found = []
     alone: dict[str, dict[Key, Record]] = {}
     for k, flights in campaign.members.items():
@@ -154,9 +156,12 @@ def hindsight(campaign: Campaign) -> list[Claim]:
     for sensors in TARGETED:
         none = still(campaign.pick(NONE, "easy"), sensors)
         gains = {member: paired(still(flights, sensors), none) for member, flights in alone.items()}
-        who = min((m for m, p in gains.items() if p.both), key=lambda m: gains[m].of_means, default="")
+        gains = {member: p for member, p in gains.items() if p.both}
+        if not gains:
+            continue
+        who = min(gains, key=lambda m: gains[m].of_means)
         best = paired(still(campaign.pick(ORACLE, "easy"), sensors), none)
-        for words, p in (("each flight's best member", best), (f"{who} throughout", gains.get(who, best))):
+        for words, p in (("each flight's best member", best), (f"{who} throughout", gains[who])):
             where = f"in hindsight, {words}, easy, still air, sensors {sensors}"
             found.append(claim(f"{where}: mean nMAE against no adaptation", p.of_means, "%"))
             found.append(claim(f"{where}: flights > 5 % worse", p.clearly_worse, "%"))

@@ -16,9 +16,10 @@ from task.state import REFERENCE, STATE
 
 NAN = float("nan")
 STALL = math.radians(12.0)
-"""Angle of attack at which the aircraft's tables end [rad]; lift is greatest at 10.8 deg, and up to a third less here.
+"""Angle of attack beyond which a wing counts as stalled [rad]: here the aircraft's tables end.
 
-Attitude can still be held beyond, by an aircraft that falls.
+Up to Mach 0.37 lift is greatest at 11 deg or below; faster it still grows here, and nothing is known of it beyond.
+Attitude can be held there too, by an aircraft that falls.
 """
 OF_THE_CELL = (
     "suite", "fault", "group", "index", "half", "moment", "references", "trim", "sensors", "air", "preview", "fault_at",
