@@ -341,6 +341,7 @@ PRESETS: dict[str, Adaptation] = {
         effectiveness="structured",
         identify=False,
         prior="scheduled",
+        t_play=1.0,
         excitation=math.radians(5.0),
         head_start=0.3,
         head_start_short=1.0,
