@@ -15,8 +15,9 @@ from runtime.alarm import Alarm
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
 from runtime.opening import Opening, Recollection
+from runtime.process_noise import ProcessNoise
 from runtime.ranges import Ranges
-from runtime.rate_filter import ALPHA_MID, LAMBDA, SLOPES, B, N, RateFilters, W
+from runtime.rate_filter import ALPHA_MID, LAMBDA, SLOPES, B, RateFilters, W
 from runtime.stuck import Stuck, turning
 from runtime.unrest import Unrest
 from task.actuators import ACTUATOR
@@ -24,8 +25,6 @@ from task.limits import DT
 from task.rates import KNEE, RATES, RateModel, washout
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, STATE
 
-LOW_KNEE = math.radians(-3.0)
-"""Angle of attack below which the model errs too. Soon after an alarm what surfaces do errs more."""
 AXIS = (1, 0, 2)
 """Which of p, q, r elevator, aileron and rudder move most."""
 
@@ -38,8 +37,6 @@ class Effectiveness:
 
     TURNING_NOISE = 0.02
     """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
-    UNKNOWN = 0.25
-    """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
     STEADY = 0.1
@@ -61,9 +58,7 @@ class Effectiveness:
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
         self.ranges = Ranges(self.filter, self._limited) if settings.ranges else None
         self._dt = dt
-        self._q_quiet = self._process(settings.q_rate, settings.q_effectiveness)
-        self._q_open = self._process(settings.q_rate_open, settings.q_effectiveness_open)
-        self._least_q_bias = np.square(settings.q_bias).tolist()
+        self._noise = ProcessNoise(settings, self._agile, self._agile - self._limited, dt)
         self._believed_before = np.ones(N_ACTION)
         self.alarm = Alarm(settings, dt)
         self._opening, self._past = Opening(settings, dt), Recollection(settings, dt)
@@ -77,19 +72,10 @@ class Effectiveness:
         deviations of what is estimated now ask for."""
         self.reset()
 
-    def _process(self, rate: float, effectiveness: float) -> np.ndarray:
-        q = np.zeros((self._agile + N_ACTION, N))
-        q[:, W], q[:, LAMBDA] = rate**2, effectiveness**2
-        # A range changes at once or not at all, and nothing else with it.
-        q[self._limited : self._agile, LAMBDA] = self.settings.q_effectiveness**2
-        agile = q[self._agile :, LAMBDA]
-        np.fill_diagonal(agile, max(effectiveness, self.settings.q_effectiveness_agile) ** 2)
-        return q
-
     def reset(self) -> None:
         """Start a new flight: a healthy aircraft, nothing counted."""
         self._start_anew(self.settings.effectiveness_sd)
-        self._q = self._q_quiet
+        self._noise.opened = False
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
@@ -103,7 +89,7 @@ class Effectiveness:
         """Forget the last samples, not what was learnt: the next ones follow a gap."""
         self._states = 0
         self._low_passed = 0.0
-        self._drift: list[float] = []
+        self._noise.restart()
         self._inputs.restart()
         self.alarm.restart()
         self.stuck.reset()
@@ -327,20 +313,8 @@ class Effectiveness:
         self._u[self._agile :], self._known[self._agile :] = self._u[believed], self._known[believed]
         f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u, self._known)
         self._low_passed = washout(self._low_passed, r, self._dt)
-        f.q[:] = self._q
-        drift = f.drift_step.tolist()
-        opened = self._q is self._q_open
-        share = (self.settings.model_error_open if opened else self.settings.model_error) / self._dt
-        low = LOW_KNEE - x[STATE.alpha] if self._opening.calm else 0.0
-        near_stall = (1.0 + self.settings.stall_error * max(x[STATE.alpha] - KNEE, low, 0.0)) ** 2
-        f.q[:, B] = [
-            least * level * near_stall + (share * (new - old)) ** 2
-            for least, level, new, old in zip(self._least_q_bias, levels, drift, self._drift or drift, strict=True)
-        ]
-        self._drift = drift
-        if self.stuck.any:
-            _, _, _, no_alpha, no_beta = self.stuck.signals
-            f.q[:, B] += self.UNKNOWN * np.array((no_beta, no_alpha, no_beta))
+        alpha, lacking = x[STATE.alpha], self.stuck.signals[RATES:]
+        self._noise.fill(f.q, levels, f.drift_step.tolist(), alpha, self._opening.calm, lacking)
         f.predict()
 
     def _model_increment(self) -> None:
@@ -411,10 +385,10 @@ class Effectiveness:
                     f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
             if self.ranges:
                 self._look_for_ranges(self.ranges)
-            self._q = self._q_open
+            self._noise.opened = True
             self.evidence.forget()
         elif opening.closes:
-            self._q = self._q_quiet
+            self._noise.opened = False
             if self.ranges:
                 self.ranges.close()
         if self.unrest.ends_a_phase:  # what was taken for a change was noise, or turbulence, not yet known
@@ -462,7 +436,7 @@ class Effectiveness:
             f.s[:], self.believed[:] = self._past.recalled, self._believed_before
             if not self._opening.pending:
                 self._spread(self.settings.effectiveness_sd)
-                self._q = self._q_quiet
+                self._noise.opened = False
             self._opening.cut_short()
         else:
             f.s[:] = self._past.before(self._states)
