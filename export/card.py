@@ -31,6 +31,11 @@ _LABELS = {
     "cores": "cores of the machine",
 }
 """Of what a trainer says of itself; anything else that is short is shown under its own name."""
+_COPIES = {
+    "/-": "`A/-ea` is A with its commands to elevator (e) and aileron (a) turned round, r stands for the rudder",
+    "*": "`A/beta_e*8+r*0.5` is A that sees eight times the sideslip's error and half the yaw rate",
+}
+"""What a part of a name says of the member: :mod:`export.mirrors`, :mod:`export.gains`."""
 
 
 def card(population: Population, name: str, versions: Mapping[str, str], screening: Screening | None) -> str:
@@ -46,6 +51,7 @@ def card(population: Population, name: str, versions: Mapping[str, str], screeni
         shape="-".join(map(str, (network.observation, *(layer.units for layer in network.layers)))),
         period_ms=f"{1000.0 * DT:g}",
         champion=description.champion,
+        copies=[told for part, told in _COPIES.items() if any(part in m.name for m in description.members)],
         limit_deg=f"{np.rad2deg(DEFLECTION_LIMIT):g}",
         alpha_deg=f"{np.rad2deg(UNSAFE_ALPHA):g}",
         bank_deg=f"{np.rad2deg(UNSAFE_PHI):g}",
