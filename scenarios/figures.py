@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.legend import Legend
 from matplotlib.patches import Patch
 from PIL import Image
 
@@ -48,6 +49,10 @@ class Margins(NamedTuple):
     between_rows: float
 
 
+WIDTH = 12.0
+"""Of the modes side by side [inch]."""
+LEGEND_LINE = 0.17
+"""Height of one more line of the cast's legend [inch]."""
 COMPARISON = Margins(0.62, 0.12, 0.72, 0.92, 0.62, 0.34)
 DETAIL = Margins(0.72, 0.15, 0.72, 0.48, 1.0, 0.3)
 
@@ -94,10 +99,13 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
     """
     with mpl.rc_context(STYLE):  # type: ignore[arg-type]
         rows = len(flown)
-        height = COMPARISON.top + COMPARISON.bottom + 1.3 * rows + COMPARISON.between_rows * (rows - 1)
-        figure = Figure(figsize=(12.0, height))
-        axes = _grid(figure, rows, (1.25, 1.0, 1.0), COMPARISON).subplots(sharex=True, sharey="col", squeeze=False)
         tones, surface = cast_colours(flown), moved_surface(flown)
+        columns = _cast_columns(tones)
+        more = max(-(-len(tones) // columns) - 1, 0)
+        margins = COMPARISON._replace(bottom=COMPARISON.bottom + more * LEGEND_LINE)
+        height = margins.top + margins.bottom + 1.3 * rows + margins.between_rows * (rows - 1)
+        figure = Figure(figsize=(WIDTH, height))
+        axes = _grid(figure, rows, (1.25, 1.0, 1.0), margins).subplots(sharex=True, sharey="col", squeeze=False)
         for one, (left, middle, right) in zip(flown, axes, strict=True):
             tracking(left, one, REFERENCE.theta, error=True)
             tracking(middle, one, REFERENCE.phi, error=True)
@@ -115,16 +123,26 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
         handles, labels = axes[0, 2].get_legend_handles_labels()
         reference = axes[0, 0].get_legend_handles_labels()[0][0]
         figure.legend([reference, *handles], ["reference", *labels], loc="upper right", ncols=3, borderaxespad=0.2)
-        _cast_legend(figure, tones)
+        _cast_legend(figure, tones, columns)
         _title(figure, title, INK)
     return figure
 
 
-def _cast_legend(figure: Figure, tones: dict[str, str]) -> None:
+def _cast_columns(tones: dict[str, str]) -> int:
+    """Return how many members stand side by side in the legend of the cast: as many as the figure is wide for."""
+    for columns in range(min(len(tones), 9), 1, -1):
+        figure = Figure(figsize=(WIDTH, 1.0))
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        if _cast_legend(figure, tones, columns).get_window_extent(renderer).width <= figure.bbox.width:
+            return columns
+    return 1
+
+
+def _cast_legend(figure: Figure, tones: dict[str, str], columns: int) -> Legend:
     """Say which colour of the strips is which member."""
     patches = [Patch(color=tone, label=member) for member, tone in tones.items()]
-    figure.legend(
-        handles=patches, loc="lower left", borderaxespad=0.2, ncols=min(len(patches), 9), handlelength=1.0,
+    return figure.legend(
+        handles=patches, loc="lower left", borderaxespad=0.2, ncols=columns, handlelength=1.0,
         handleheight=0.7, columnspacing=1.2, title="strip: who flies      ▼ change of the cast", title_fontsize=8,
         alignment="left",
     )  # fmt: skip

@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from rich.console import Console
 
-from scenarios import figures
+from scenarios import figures, report
 from scenarios.panels import Flown
 from scenarios.report import scores_by_mode, write_report
 from scenarios.results_page import number, write_page
@@ -80,6 +81,30 @@ def test_the_comparison_shows_a_surface_that_the_fault_names(
     job = replace(flown.job, flight=msgspec.structs.replace(flown.job.flight, faults=faults))
     write_report(Scenario(title="t", description="d"), [replace(flown, job=job)], tmp_path)
     assert shown[0] == expected
+
+
+@pytest.mark.parametrize(("name", "lines"), [("actor_{}", 1), ("actor_{}/beta_e*8+theta_e*2+phi_e*2", 2)])
+def test_the_legend_of_the_cast_stays_on_the_page(
+    make_result: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, lines: int
+) -> None:
+    pages, draw = [], figures.comparison
+
+    def drawn(flown: list[Flown], title: str) -> Figure:
+        pages.append(draw(flown, title))
+        return pages[-1]
+
+    monkeypatch.setattr(report, "comparison", drawn)
+    tones = {name.format(i): f"C{i}" for i in range(6)}
+    monkeypatch.setattr(figures, "cast_colours", lambda _: tones)
+    monkeypatch.setattr(figures, "cast_strip", lambda *_: None)
+    flown = make_result()
+    write_report(Scenario(title="t", description="d"), [flown], tmp_path)
+    page, legend = pages[0], pages[0].legends[-1]
+    shown = legend.get_window_extent()
+    assert page.bbox.x0 <= shown.x0
+    assert shown.x1 <= page.bbox.x1
+    assert len({round(text.get_window_extent().y0) for text in legend.get_texts()}) == lines
+    assert shown.y1 <= min(ax.xaxis.label.get_window_extent().y0 for ax in page.axes[-3:])
 
 
 def test_the_table_on_the_terminal(flights: list[Result]) -> None:
