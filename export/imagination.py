@@ -14,7 +14,7 @@ from export.builder import Builder, value
 from export.limiting import Limits
 from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs
 from export.network import Network
-from export.scoring import scores
+from export.scoring import SCORES, scores
 from export.stepping import N_LINEAR, Step, observed_reference, observed_state
 from task.state import N_ACTION, N_OBSERVATION
 
@@ -24,7 +24,8 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
 
     parameters: (P, K) float32, the members; lag: samples between a command and the increment that it moves, beyond
     that of eq. 8.2. Inputs and outputs as in docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``,
-    ``exact_kinematics``, ``actuators``, ``reference``, ``incumbent`` -> ``returns`` and ``unsafe``, (M, P + 1) each.
+    ``exact_kinematics``, ``actuators``, ``reference``, ``incumbent`` -> ``returns``, ``unsafe`` and ``travel``,
+    (M, P + 1) each.
     """
     count = parameters.shape[0] + 1
     g = Builder()
@@ -46,14 +47,14 @@ def imagination(network: Network, parameters: np.ndarray, lag: int) -> onnx.Mode
 
     seen_rows = N_OBSERVATION + 1
     pilots = Pilots(step.moves, _per_model(g, step, observed), (seen_rows,), 0, act, count)
-    before, after = fly(g, pilots, step, limits, start, seen, (seen_rows, 1), lag)
-    for name, of in zip(("returns", "unsafe"), scores(g, before, after, following), strict=True):
+    before, after, moved = fly(g, pilots, step, limits, start, seen, (seen_rows, 1), lag)
+    for name, of in zip(SCORES, scores(g, before, after, moved, following), strict=True):
         g.result(of, name)
     return g.model(
         "imagination",
         [*inputs(lag), value("incumbent", (parameters.shape[1],))],
-        [value(name, ("models", count)) for name in ("returns", "unsafe")],
-        "Predicted return and unsafe samples of every member and, last, of the incumbent, in each model.",
+        [value(name, ("models", count)) for name in SCORES],
+        "Predicted return, unsafe samples and surface travel of every member and, last, the incumbent, in each model.",
     )
 
 

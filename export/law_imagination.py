@@ -17,7 +17,7 @@ import onnx
 from export.builder import Builder, value
 from export.limiting import Limits
 from export.loop import SCAN_INPUT, Pilots, first_rows, fly, inputs
-from export.scoring import scores
+from export.scoring import SCORES, scores
 from export.stepping import ACTED, N_LINEAR, ONE, Step
 from task.laws import N_MEMORY, N_SEEN, READ, SEEN
 from task.limits import DEFLECTION_LIMIT, DT
@@ -35,7 +35,7 @@ def law_imagination(lag: int) -> onnx.ModelProto:
 
     lag: samples between a command and the increment that it moves, beyond that of eq. 8.2. Inputs and outputs as in
     docs/architecture.md: ``x``, ``dx``, ``commands``, ``delay``, ``model``, ``exact_kinematics``, ``actuators``,
-    ``reference``, ``maps`` (Q, 11, 38), ``memory`` (Q, 8) -> ``returns`` and ``unsafe``, (M, Q) each.
+    ``reference``, ``maps`` (Q, 11, 38), ``memory`` (Q, 8) -> ``returns``, ``unsafe`` and ``travel``, (M, Q) each.
     """
     g = Builder()
     step = Step(g, np.ones(N_ACTION))
@@ -76,10 +76,10 @@ def law_imagination(lag: int) -> onnx.ModelProto:
         number=1,
         dimension="pairs",
     )
-    before, after = fly(g, pilots, step, limits, start, seen, ("pairs", N_GIVEN, 1), lag)
+    before, after, moved = fly(g, pilots, step, limits, start, seen, ("pairs", N_GIVEN, 1), lag)
     following = g.slice("reference", 0, 1, name="reference_next")
     shape = g.op("Concat", models, laws, axis=0)
-    for name, of in zip(("returns", "unsafe"), scores(g, before, after, following), strict=True):
+    for name, of in zip(SCORES, scores(g, before, after, moved, following), strict=True):
         g.result(g.op("Reshape", of, shape), name)
     return g.model(
         "laws",
@@ -88,8 +88,8 @@ def law_imagination(lag: int) -> onnx.ModelProto:
             value("maps", ("laws", N_LAW, N_MEMORY + N_SEEN)),
             value("memory", ("laws", N_MEMORY)),
         ],
-        [value(name, ("models", "laws")) for name in ("returns", "unsafe")],
-        "Predicted return and unsafe samples of linear laws with memory and limits, in each model.",
+        [value(name, ("models", "laws")) for name in SCORES],
+        "Predicted return, unsafe samples and surface travel of linear laws with memory and limits, in each model.",
     )
 
 

@@ -21,7 +21,7 @@ import onnx
 from export.builder import END, Builder, Shape, value
 from export.limiting import Limits
 from export.rollout import MAX_DELAY
-from export.stepping import ACTING, MOVES, N_PRODUCTS, Step, products
+from export.stepping import ACTING, MOVES, N_FLOWN, N_PRODUCTS, Step, products
 from task.actuators import N_ACTUATOR
 from task.model import N_REGRESSORS
 from task.state import N_ACTION, N_IDENTIFIED, N_REFERENCE
@@ -37,7 +37,7 @@ class Pilots(NamedTuple):
     """Who acts, and how the loop's product serves them."""
 
     moves: str
-    """(M, 49, own + 33): ``moves`` of a step, of what is the actors' own and L."""
+    """(M, 52, own + 33): ``moves`` of a step, of what is the actors' own and L."""
     sees: str
     """(M, n, own + 33): what they act upon; zero for the command that acts now."""
     heights: tuple[int, ...]
@@ -78,27 +78,29 @@ def _widened(g: Builder, matrix: str, waiting: str) -> str:
 
 def fly(
     g: Builder, pilots: Pilots, step: Step, limits: Limits, start: str, seen: str, seen_shape: Shape, lag: int
-) -> tuple[str, str]:
-    """Add the loops; return the states before and after each of H steps, (H, M, 10, A).
+) -> tuple[str, str, str]:
+    """Add the loops; return the states before and after each of H steps, and what the commands that act moved by.
 
-    start: (M, own + rows, A); seen: (H, *seen_shape), the body's input :data:`SCAN_INPUT`.
+    start: (M, own + rows, A); seen: (H, *seen_shape), the body's input :data:`SCAN_INPUT`. States are (H, M, 10, A),
+    moves (H, M, 3, A) [rad].
     """
     branches = {}
     for kind, of, name in (("then_branch", None, FREE_LOOP), ("else_branch", limits, LIMITED_LOOP)):
         inner = Builder(outer=g, prefix=f"{name}/")
         flights = _loop(inner, name, pilots, start, seen, seen_shape, lag, of)
-        shapes = (pilots.dimension, "rows", pilots.number), ("steps", pilots.dimension, N_IDENTIFIED, pilots.number)
+        shapes = (pilots.dimension, "rows", pilots.number), ("steps", pilots.dimension, N_FLOWN, pilots.number)
         branches[kind] = inner.body(name, [], [value(of, shape) for of, shape in zip(flights, shapes, strict=True)])
-    end, before = g.ops("If", limits.free, names=["linear_end", "before"], **branches)
+    end, flown = g.ops("If", limits.free, names=["linear_end", "flown"], **branches)
+    before = g.slice(flown, 2, 0, N_IDENTIFIED, name="before")
     last = g.op("MatMul", step.state, g.slice(end, 1, pilots.own, pilots.own + ACTING))
     after = g.op("Concat", g.slice(before, 0, 1), g.op("Unsqueeze", last, g.integers(0)), axis=0, name="after")
-    return before, after
+    return before, after, g.slice(flown, 2, N_IDENTIFIED, name="moved")
 
 
 def _loop(
     g: Builder, name: str, pilots: Pilots, start: str, seen: str, seen_shape: Shape, lag: int, limits: Limits | None
 ) -> list[str]:
-    """Add a loop whose commands act as given, or within limits; return its last state and the x of all steps."""
+    """Add a loop whose commands act as given, or within limits; return its last state and what is kept of all steps."""
     b = Builder(outer=g, prefix=f"{name}/step/")
     waiting = _rows_waiting(g, lag)
     acting = pilots.own + ACTING
@@ -140,9 +142,9 @@ def _loop(
     body = b.body(
         f"{name}.step",
         [value(_LINEAR, shape), value(SCAN_INPUT, seen_shape)],
-        [value(linear_next, shape), value(flown, (pilots.dimension, N_IDENTIFIED, pilots.number))],
+        [value(linear_next, shape), value(flown, (pilots.dimension, N_FLOWN, pilots.number))],
     )
-    return g.ops("Scan", start, seen, names=["linear_end", "before"], body=body, num_scan_inputs=1)
+    return g.ops("Scan", start, seen, names=["linear_end", "flown"], body=body, num_scan_inputs=1)
 
 
 def bodies(model: onnx.ModelProto) -> dict[str, onnx.GraphProto]:

@@ -31,6 +31,8 @@ class Imagined(NamedTuple):
     """(A,) undiscounted return."""
     unsafe: np.ndarray
     """(A,) samples in which the flight was unsafe (eq. 14) and not yet lost."""
+    travel: np.ndarray
+    """(A,) how far the commands that acted were moved until the flight was lost [rad], all surfaces together."""
 
 
 def rollout(
@@ -110,7 +112,7 @@ def flown(
     sent = np.tile(commands[MAX_DELAY - delay :], (flights, 1, 1))
     given = sent.shape[1] > 1
     alive = np.ones(flights, dtype=bool)
-    returns, dangers = np.zeros(flights, dtype=x.dtype), np.zeros(flights, dtype=x.dtype)
+    returns, dangers, travel = np.zeros((3, flights), dtype=x.dtype)
     # A flight that is lost in the model may diverge until nothing is finite: it is no longer looked at.
     with np.errstate(all="ignore"):
         for t, following in enumerate(reference[1:]):
@@ -118,11 +120,13 @@ def flown(
             sent = np.concatenate([sent, action[:, None].astype(x.dtype)], axis=1)
             if t or not given:
                 sent[:, 1] = limited(sent[:, 1], sent[:, 0], actuators)
-            increment = predict_increment(state, increment, sent[:, 1] - sent[:, 0], model, exact_kinematics)
+            moved = sent[:, 1] - sent[:, 0]
+            increment = predict_increment(state, increment, moved, model, exact_kinematics)
             sent = sent[:, 1:]
             state = state + increment
             alive &= ~terminated(state)
             reward = tracking_reward(tracking_error(state[:, :N_IDENTIFIED], following))
             returns += np.where(alive, reward, -CRASH_COST_PER_FRAME)
             dangers += alive & unsafe(state)
-    return Imagined(returns, dangers)
+            travel += np.where(alive, np.abs(moved).sum(axis=1), 0.0)
+    return Imagined(returns, dangers, travel)

@@ -1,4 +1,4 @@
-"""Reward, loss and safety of imagined flights, taken from the whole trajectories after the loop (eqs 12-14)."""
+"""Reward, loss, safety and surface travel of imagined flights, from whole trajectories after the loop (eqs 12-14)."""
 
 from __future__ import annotations
 
@@ -50,10 +50,16 @@ def _altitude(g: Builder, before: str, after: str) -> str:
     return g.op("Add", rows(after, STATE.h), total, name="altitude")
 
 
-def scores(g: Builder, before: str, after: str, reference: str) -> tuple[str, str]:
-    """Add ``task.reward`` over trajectories: states before and after each step (H, M, 10, A), reference (H, 3) [rad].
+SCORES = ("returns", "unsafe", "travel")
+"""What :func:`scores` returns, by the names of the graphs' outputs."""
 
-    Returns the returns and the numbers of unsafe samples (eq. 14), (M, A) each.
+
+def scores(g: Builder, before: str, after: str, moved: str, reference: str) -> tuple[str, str, str]:
+    """Add ``task.reward`` over trajectories, and how far surfaces are moved.
+
+    before, after: states around each step (H, M, 10, A); moved: increments of the commands that act (H, M, 3, A) [rad];
+    reference: (H, 3) [rad]. Returns the returns, the numbers of unsafe samples (eq. 14), and how far the surfaces are
+    moved until the flight is lost [rad], all surfaces together; (M, A) each.
     """
     channels = g.op("Gather", after, g.integers(*TRACKED), axis=2, name="tracked")
     error = g.op("Sub", g.op("Unsqueeze", reference, g.integers(1, 3)), channels, name="error")
@@ -80,4 +86,6 @@ def scores(g: Builder, before: str, after: str, reference: str) -> tuple[str, st
     stalling = g.op("GreaterOrEqual", alpha, g.constant(np.array(UNSAFE_ALPHA), "unsafe_alpha"))
     unsafe = g.op("And", g.op("Squeeze", g.op("Or", steep, stalling), g.integers(2)), alive, name="unsafe_now")
     count = g.op("Cast", unsafe, to=onnx.TensorProto.FLOAT)
-    return tuple(g.op("ReduceSum", x, g.integers(0), keepdims=0) for x in (earned, count))  # type: ignore[return-value]
+    path = g.op("ReduceSum", g.op("Abs", moved), g.integers(2), keepdims=0)
+    travel = g.op("Where", alive, path, g.constant(np.array(0.0), "at_rest"), name="travelled")
+    return tuple(g.op("ReduceSum", x, g.integers(0), keepdims=0) for x in (earned, count, travel))  # type: ignore[return-value]

@@ -48,8 +48,10 @@ ACTING = ACTED + N_ACTION
 N_LINEAR = ACTING + N_ACTION
 """Rows of L without what waits."""
 
-MOVES = (N_IDENTIFIED, PRODUCT, N_PRODUCTS, 2 * N_PRODUCTS)
-"""Rows of a step: x now, the next one and base, rates, arguments of the sines (numerators, denominators)."""
+N_FLOWN = N_IDENTIFIED + N_ACTION
+"""Rows of a step that are kept: x now, and the increment of the command that acts now [rad]."""
+MOVES = (N_FLOWN, PRODUCT, N_PRODUCTS, 2 * N_PRODUCTS)
+"""Rows of a step: what is kept, the next one and base, rates, arguments of the sines (numerators, denominators)."""
 
 
 def _switched(g: Builder, always: np.ndarray, exact: np.ndarray, name: str) -> str:
@@ -71,7 +73,7 @@ def _products(row: int) -> tuple[np.ndarray, np.ndarray]:
 class Step:
     """The matrices of a step, made before the loop from ``model`` (M, 13, 10) and ``exact_kinematics``.
 
-    ``moves`` (M, 49, 33), of L; ``x_and_dx`` (20, 33): E; ``state`` (10, 30): x. ``unit`` (3,) [rad]: what a command of
+    ``moves`` (M, 52, 33), of L; ``x_and_dx`` (20, 33): E; ``state`` (10, 30): x. ``unit`` (3,) [rad]: what a command of
     one means.
     """
 
@@ -92,6 +94,7 @@ class Step:
         of_x, of_increment, constant = self._maps()
         from_state = g.op("MatMul", _switched(g, *of_x, "of_x"), of_linear)
         from_increment = g.op("MatMul", _switched(g, *of_increment, "of_increment"), increment)
+        constant[N_IDENTIFIED:N_FLOWN] = acting[N_IDENTIFIED:]
         linear = g.op("Add", from_state, g.constant(constant, "constants"))
         self.moves = g.op("Add", linear, from_increment, name="moves")
         carried = g.op("Slice", of_linear, g.integers(0), g.integers(ACTING), g.integers(1))
@@ -107,7 +110,7 @@ class Step:
         now, (one, *base), rates, sines = np.split(np.arange(size), np.cumsum(MOVES)[:-1])
         constant[one, ONE] = 1.0
         x, identity = np.arange(N_IDENTIFIED), np.eye(N_IDENTIFIED)
-        of_x[now, x] = of_x[base[:N_IDENTIFIED], x] = 1.0
+        of_x[now[:N_IDENTIFIED], x] = of_x[base[:N_IDENTIFIED], x] = 1.0
         # dynamic states take the model's increment; with exact kinematics phi takes DT p from here, the rest is product
         fixed = np.diag([float(state >= STATE.phi) for state in x])
         fixed[STATE.phi, STATE.p] = -0.5 * DT

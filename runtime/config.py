@@ -89,6 +89,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     and -1]. Where all fly closely a share of next to nothing is chance; and who was good so far is trusted beyond what
     is imagined, until more than this is at stake."""
 
+    travel_cost: NotNegative = 0.0
+    """What a radian of imagined surface travel costs [return/rad], all surfaces together. Returns are of tracking alone
+    (eq. 12); a member that swings a surface from limit to limit to hold an attitude closely has a good one."""
+
     head_start_short: NotNegative = 0.0
     """The same while a surface is believed to stop short of its commands or to do next to nothing [-]: what such an
     aircraft does is imagined better than what one with late or slow surfaces does. It lets the first member fly on; one

@@ -70,6 +70,8 @@ class Prediction(NamedTuple):
     all NaN when it failed."""
     unsafe: np.ndarray
     """(M, P + Q + 1) samples in which each imagined flight is unsafe (thesis eq. 14) and not yet lost."""
+    travel: np.ndarray
+    """(M, P + Q + 1) how far the surfaces are moved in it until it is lost [rad], all surfaces together."""
     tick_requested: int
     """The tick of the state that it started from."""
     seconds: float
@@ -221,18 +223,16 @@ class Imagination:
         start = time.perf_counter()
         error = ""
         try:
-            returns, unsafe = self._session.run(IMAGINATION_OUTPUTS, question.feeds(IMAGINATION_INPUTS))
+            found = self._session.run(IMAGINATION_OUTPUTS, question.feeds(IMAGINATION_INPUTS))
             if self._laws_session is not None:
                 of_laws = self._laws_session.run(IMAGINATION_OUTPUTS, question.feeds(LAWS_INPUTS))
-                returns, unsafe = (
-                    _joined(networks, laws, question.law)
-                    for networks, laws in zip((returns, unsafe), of_laws, strict=True)
-                )
+                found = [_joined(networks, laws, question.law) for networks, laws in zip(found, of_laws, strict=True)]
         except Exception as failure:  # onnxruntime's errors share no base; none of them may end the flight
-            returns = unsafe = np.full((len(question.model), self._actors), np.nan, dtype=np.float32)
+            found = [np.full((len(question.model), self._actors), np.nan, dtype=np.float32)] * len(IMAGINATION_OUTPUTS)
             error = " ".join(str(failure).split())[:200]
             self.failures += 1
-        return Prediction(returns, unsafe, question.tick, time.perf_counter() - start, error)
+        returns, unsafe, travel = found
+        return Prediction(returns, unsafe, travel, question.tick, time.perf_counter() - start, error)
 
 
 def _joined(networks: np.ndarray, laws: np.ndarray, flying: int | None) -> np.ndarray:

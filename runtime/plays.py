@@ -10,7 +10,7 @@ from runtime.config import Adaptation
 from runtime.ensemble import Ensemble
 from runtime.forecast import Forecast, belief
 from runtime.identification import IncrementalModel
-from runtime.imagination import Imagines, Snapshot
+from runtime.imagination import Imagines, Prediction, Snapshot
 from runtime.reference import Reference
 from runtime.switching import REASONS, Action, Cast, Decision, Reason, decide
 
@@ -19,7 +19,8 @@ class Played(NamedTuple):
     """An imagination at the moment that it decides."""
 
     returns: np.ndarray
-    """(P + 1,) predicted returns, the incumbent last; the mean of the models, where there are several."""
+    """(P + 1,) predicted returns, less what surface travel costs, the incumbent last; the mean of the models, where
+    there are several."""
     unsafe: np.ndarray
     """(P + 1,) for how long each imagined flight is unsafe (thesis eq. 14) and not yet lost [s]."""
     age: float
@@ -145,7 +146,7 @@ class Plays:
         if self._short:
             head_start = settings.head_start_short if self._cast.flying == self._cast.first else 0.0
             memory = settings.forecast_time_short
-        returns = self._forecast.take(prediction.returns.mean(axis=0), asked * self._dt, self._belief, memory)
+        returns = self._forecast.take(self._worth(prediction), asked * self._dt, self._belief, memory)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
         decision = decide(
             returns,
@@ -165,6 +166,11 @@ class Plays:
         if decision.action is not Action.KEEP:
             self._forecast.follow(decision.member)
         return played
+
+    def _worth(self, prediction: Prediction) -> np.ndarray:
+        """Return what is predicted of each member (P + 1,): its return, less what the travel of its surfaces costs."""
+        returns, cost = prediction.returns, self._settings.travel_cost
+        return (returns - cost * prediction.travel if cost > 0.0 else returns).mean(axis=0)
 
     def _careful(self, decision: Decision, tick: int) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when too little speaks for it.

@@ -36,7 +36,7 @@ PROBE_SIZE = 0.2
 _QUESTION = ("x", "dx", "commands", "delay", "model", "exact_kinematics", "actuators", "reference")
 IMAGINATION_INPUTS = (*_QUESTION, "incumbent")
 LAWS_INPUTS = (*_QUESTION, "maps", "memory")
-IMAGINATION_OUTPUTS = ("returns", "unsafe")
+IMAGINATION_OUTPUTS = ("returns", "unsafe", "travel")
 
 
 class Population(NamedTuple):

@@ -37,7 +37,8 @@ class PerfectModel:
     """Stands where :class:`runtime.imagination.Imagination` would; answers at once.
 
     Every imagined flight is a copy of this process, which flies the aircraft on with the runtime's own parts and ends.
-    It excites no surface. Without a preview the reference of the moment is held, as in any imagination.
+    It excites no surface and counts no surface travel. Without a preview the reference of the moment is held, as in any
+    imagination.
     """
 
     LOOK = 10
@@ -81,7 +82,8 @@ class PerfectModel:
                 best = max(best, found[member][0])
         self._order.sort(key=lambda member: -found[member][0])
         rows = np.array([*(found[member] for member in range(self._members)), incumbent])
-        self._answer = Prediction(rows[None, :, 0], rows[None, :, 1], tick, time.perf_counter() - began)
+        returns, dangers = rows.T[:, None]
+        self._answer = Prediction(returns, dangers, np.zeros_like(returns), tick, time.perf_counter() - began)
 
     def result(self, tick: int) -> Prediction | None:
         """Return the answer to the question asked at ``tick``."""

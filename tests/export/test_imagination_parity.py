@@ -145,6 +145,46 @@ def test_unsafe_samples_are_counted_until_the_flight_is_lost(make_actors, nomina
     assert np.ptp(unsafe) > 10.0
 
 
+@pytest.mark.parametrize("lag", [0, 1, 3])
+@pytest.mark.parametrize("delay", [0, 5])
+def test_surface_travel_is_that_of_the_commands_that_act(delay, lag, make_actors, nominal_model):
+    network = NETWORKS["thesis"]
+    population = make_actors(network, members=3, seed=5)
+    case = Case(100, lag, nominal_model, True, delay)
+    actors = np.concatenate([population.parameters, population.parameters[:1]])
+    (travel,) = session(imagination(network, population.parameters, lag)).run(
+        ["travel"], case.feeds(population.parameters[0])
+    )[0]
+    np.testing.assert_allclose(travel, case.imagined(network, actors).travel, rtol=1e-3, atol=1e-5)
+    assert np.ptp(travel[:3]) > 0.01
+
+
+def test_surface_travel_by_hand(make_actors, nominal_model):
+    """Members that command zero whatever they see: what is left is the way there from the commands sent before."""
+    network = NETWORKS["linear-law"]
+    actors = np.zeros_like(make_actors(network, members=2).parameters)
+    case = Case(50, 1, nominal_model, True)
+    acted, acting = np.array([0.01, -0.02, 0.03]), np.array([-0.01, 0.0, 0.05])
+    case.commands[-2:] = acted, acting
+    expected = np.abs(acting - acted).sum() + np.abs(acting).sum()
+    (travel,) = session(imagination(network, actors, 1)).run(["travel"], case.feeds(actors[0]))[0]
+    np.testing.assert_allclose(travel, expected, rtol=1e-5)
+    np.testing.assert_allclose(case.imagined(network, actors).travel, expected, rtol=1e-9)
+
+
+def test_surface_travel_counts_until_the_flight_is_lost(make_actors, nominal_model):
+    network = NETWORKS["linear-law"]
+    population = make_actors(network, members=4, gain=3.0)
+    case = Case(300, 1, 1.5 * nominal_model, True)
+    returns, travel = session(imagination(network, population.parameters, 1)).run(
+        ["returns", "travel"], case.feeds(population.parameters[0])
+    )
+    expected = case.imagined(network, np.concatenate([population.parameters, population.parameters[:1]]))
+    assert (returns < -100.0).all()
+    assert np.isfinite(travel).all()
+    np.testing.assert_allclose(travel[0], expected.travel, rtol=0.05)
+
+
 @pytest.mark.parametrize("exact", [True, False])
 def test_returns_stay_finite_when_the_model_diverges(exact, make_actors, nominal_model, full_model):
     network = NETWORKS["thesis"]

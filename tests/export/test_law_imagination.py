@@ -14,6 +14,7 @@ from export.law_imagination import law_imagination
 from export.loop import FREE_LOOP, LIMITED_LOOP, bodies
 from export.network import Layer, Network, n_parameters
 from export.rollout import MAX_DELAY, Imagined, rollout, rollout_laws
+from export.scoring import SCORES
 from task.actuators import ACTUATOR, HEALTHY
 from task.laws import N_MEMORY, N_SEEN, READ, SEEN
 from task.limits import DEFLECTION_LIMIT, DT
@@ -72,7 +73,7 @@ class Question:
 
     def by_graph(self, graph: onnxruntime.InferenceSession, maps: np.ndarray, memory: np.ndarray) -> Imagined:
         laws = {"maps": maps.astype(np.float32), "memory": memory.astype(np.float32)}
-        return Imagined(*graph.run(["returns", "unsafe"], self.feeds() | laws))
+        return Imagined(*graph.run(SCORES, self.feeds() | laws))
 
 
 def columns(part: slice) -> slice:
@@ -109,6 +110,7 @@ def test_the_graph_is_the_reference(delay, lag, exact, graphs, nominal_model, fu
         assert got.returns.shape == expected.returns.shape == (len(question.models), laws)
         np.testing.assert_allclose(got.returns, expected.returns, rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(got.unsafe, expected.unsafe, rtol=0, atol=1.0)
+        np.testing.assert_allclose(got.travel, expected.travel, rtol=1e-3, atol=1e-4)
         if laws > 1:
             assert np.ptp(expected.returns, axis=1).min() > 10 * TOLERANCE  # the laws do differ
         if len(question.models) > 1:
@@ -277,6 +279,7 @@ def test_limited_actuators(delay, lag, exact, graphs, nominal_model, full_model,
         expected, got = question.by_numpy(maps, memory), question.by_graph(graphs[lag], maps, memory)
         np.testing.assert_allclose(got.returns, expected.returns, rtol=0, atol=10 * TOLERANCE)
         np.testing.assert_allclose(got.unsafe, expected.unsafe, rtol=0, atol=1.0)
+        np.testing.assert_allclose(got.travel, expected.travel, rtol=1e-3, atol=1e-4)
         return expected.returns
 
     expected = flown(tight())
@@ -333,11 +336,10 @@ def test_a_law_of_zeros_is_a_network_of_zeros(delay, start, graphs, nominal_mode
         question.x[STATE.q] = np.nan
     maps, memory = np.zeros((2, ROWS, COLUMNS)), np.zeros((2, N_MEMORY))
     laws = question.by_graph(graphs[1], maps, memory)
-    networks = session(imagination(network, parameters, 1)).run(
-        ["returns", "unsafe"], question.feeds() | {"incumbent": parameters[0]}
-    )
+    networks = session(imagination(network, parameters, 1)).run(SCORES, question.feeds() | {"incumbent": parameters[0]})
     np.testing.assert_allclose(laws.returns, networks[0], rtol=0, atol=TOLERANCE)
     np.testing.assert_array_equal(laws.unsafe, networks[1])
+    np.testing.assert_allclose(laws.travel, networks[2], rtol=0, atol=1e-6)
     by_laws = question.by_numpy(maps, memory)
     by_network = rollout(
         network, parameters, question.x, question.dx, question.commands, delay, question.models[0], True,

@@ -167,7 +167,7 @@ def test_many_models_are_asked_at_once_and_a_delay_is_bounded(imagination, snaps
     models = np.stack([snapshot.model, 0.9 * snapshot.model])
     imagination.request(snapshot._replace(model=models, delay=population.max_delay), 0)
     several = imagination.wait(0)
-    assert several.returns.shape == several.unsafe.shape == (2, 5)
+    assert several.returns.shape == several.unsafe.shape == several.travel.shape == (2, 5)
     imagination.request(snapshot._replace(model=models[1], delay=population.max_delay + 100), 1)
     (alone,) = imagination.wait(1).returns
     np.testing.assert_allclose(several.returns[1], alone, rtol=0, atol=1e-4)

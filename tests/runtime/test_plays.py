@@ -92,15 +92,26 @@ def test_a_switch_in_words():
 class Foretold:
     """An imagination that says what it is told to, by the tick of the question; the rest is the last of it."""
 
-    def __init__(self, returns):
-        self.returns = list(returns)
+    def __init__(self, returns, travel=0.0):
+        self.returns, self.travel = list(returns), travel
 
     def request(self, snapshot, tick):
         """Take a question."""
 
     def wait(self, asked):
         returns = self.returns.pop(0) if len(self.returns) > 1 else self.returns[0]
-        return Prediction(np.array([returns]), np.zeros((1, len(returns))), asked, 0.001)
+        travel = np.broadcast_to(self.travel, (1, len(returns)))
+        return Prediction(np.array([returns]), np.zeros((1, len(returns))), travel, asked, 0.001)
+
+
+@pytest.mark.parametrize(("cost", "flies"), [(0.0, "strong"), (0.1, "good"), (0.05, "strong")])
+def test_surface_travel_costs_what_the_settings_say(population, cost, flies):
+    """The strong member tracks a third closer and moves its surfaces by 20 rad, the good one by 2."""
+    flight = Flight(population, None, msgspec.structs.replace(SETTINGS, travel_cost=cost))
+    flight.plays._imagination = Foretold([[-4.0, -90.0, -2.6, -90.0, -4.0]], [2.0, 1.0, 20.0, 1.0, 2.0])
+    (decided,) = flight.fly(30).values()
+    assert decided.returns[[0, 2]] == pytest.approx([-4.0 - 2.0 * cost, -2.6 - 20.0 * cost])
+    assert MEMBERS[decided.decision.member] == flies
 
 
 HARD, QUIET = [-40.0, -20.0, -90.0, -90.0], [-1.0, -2.0, -90.0, -90.0]
