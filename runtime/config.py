@@ -90,8 +90,11 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     is imagined, until more than this is at stake."""
 
     travel_cost: NotNegative = 0.0
-    """What a radian of imagined surface travel costs [return/rad], all surfaces together. Returns are of tracking alone
-    (eq. 12); a member that swings a surface from limit to limit to hold an attitude closely has a good one."""
+    """What a radian of imagined surface travel beyond ``travel_free`` costs, all surfaces together [return/rad].
+    Returns are of tracking alone (eq. 12): a member that swings a surface from limit to limit may have a good one."""
+
+    travel_free: NotNegative = 0.0
+    """Mean speed of all surfaces together that costs nothing [rad/s]."""
 
     head_start_short: NotNegative = 0.0
     """The same while a surface is believed to stop short of its commands or to do next to nothing [-]: what such an
@@ -347,6 +350,8 @@ PRESETS: dict[str, Adaptation] = {
         prior="scheduled",
         t_play=1.0,
         excitation=math.radians(5.0),
+        travel_cost=0.3,
+        travel_free=1.0,
         head_start=0.3,
         head_start_short=1.0,
         forecast_time=0.5,

@@ -169,8 +169,11 @@ class Plays:
 
     def _worth(self, prediction: Prediction) -> np.ndarray:
         """Return what is predicted of each member (P + 1,): its return, less what the travel of its surfaces costs."""
-        returns, cost = prediction.returns, self._settings.travel_cost
-        return (returns - cost * prediction.travel if cost > 0.0 else returns).mean(axis=0)
+        settings, returns = self._settings, prediction.returns
+        if settings.travel_cost > 0.0:
+            free = settings.travel_free * settings.horizon
+            returns = returns - settings.travel_cost * np.maximum(prediction.travel - free, 0.0)
+        return returns.mean(axis=0)
 
     def _careful(self, decision: Decision, tick: int) -> Decision:
         """Return the decision, hard when members must not be averaged, and put off when too little speaks for it.
