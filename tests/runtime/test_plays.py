@@ -104,13 +104,23 @@ class Foretold:
         return Prediction(np.array([returns]), np.zeros((1, len(returns))), travel, asked, 0.001)
 
 
-@pytest.mark.parametrize(("cost", "flies"), [(0.0, "strong"), (0.1, "good"), (0.05, "strong")])
-def test_surface_travel_costs_what_the_settings_say(population, cost, flies):
+@pytest.mark.parametrize(
+    ("cost", "free", "paid", "flies"),
+    [
+        (0.0, 0.0, (2.0, 20.0), "strong"),
+        (0.05, 0.0, (2.0, 20.0), "strong"),
+        (0.1, 0.0, (2.0, 20.0), "good"),
+        (0.1, 10.0, (0.0, 10.0), "strong"),  # rad/s, over a horizon of one second
+        (0.2, 10.0, (0.0, 10.0), "good"),
+    ],
+)
+def test_surface_travel_costs_what_the_settings_say(population, cost, free, paid, flies):
     """The strong member tracks a third closer and moves its surfaces by 20 rad, the good one by 2."""
-    flight = Flight(population, None, msgspec.structs.replace(SETTINGS, travel_cost=cost))
+    settings = msgspec.structs.replace(SETTINGS, travel_cost=cost, travel_free=free)
+    flight = Flight(population, None, settings)
     flight.plays._imagination = Foretold([[-4.0, -90.0, -2.6, -90.0, -4.0]], [2.0, 1.0, 20.0, 1.0, 2.0])
     (decided,) = flight.fly(30).values()
-    assert decided.returns[[0, 2]] == pytest.approx([-4.0 - 2.0 * cost, -2.6 - 20.0 * cost])
+    assert decided.returns[[0, 2]] == pytest.approx([-4.0 - paid[0] * cost, -2.6 - paid[1] * cost])
     assert MEMBERS[decided.decision.member] == flies
 
 
