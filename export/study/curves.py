@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from export.population import Population, load_run
 from export.study.campaign import SEEDS, STORE, Progress, Trials, fly_once
 from export.study.cases import CASES, CaseFleet
+from export.study.contest import TD3, names
 from export.study.pictures import picture
 from export.study.short import read_curve
 from export.study.show import flights_progress, show
-from export.study.table71 import TD3, names
 from export.study.thesis import RETURN_CHAMPION, RETURN_TD3
 from export.training.curve import Row
 from export.training.evaluate import Scores

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from export.study.contest import CaseScores
 from export.study.statistics import best, paired_interval, t_test
 from export.study.thesis import BEST_71, TABLE_71
 from export.training.evaluate import Scores, attitude_nmae
 from task.results import Claim, Table
 from task.state import REFERENCE
-
-if TYPE_CHECKING:
-    from export.study.table71 import CaseScores
 
 NOT_TARGETS = ("F6", "R2")
 """Cases reported as they are: the first's nMAE has a floor of a third, the second's is saturation."""
