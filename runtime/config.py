@@ -68,7 +68,11 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """How far each imagination looks, t_h [s]."""
 
     preview: bool = True
-    """True imagines with the future reference where it is known; False holds the present one."""
+    """True imagines with the future reference where it is known; False with ``trend_time`` alone."""
+
+    trend_time: NotNegative = 0.0
+    """How long a reference that nobody knows beforehand is imagined to go on as it moves now: time constant of its
+    slowing down [s], :class:`runtime.reference.Trend`; 0 holds the present one."""
 
     play_delay_ticks: Annotated[int, msgspec.Meta(ge=1)] = 10
     """In lockstep an imagination asked for at tick k decides at tick k + this [samples]."""
@@ -349,6 +353,7 @@ PRESETS: dict[str, Adaptation] = {
         identify=False,
         prior="scheduled",
         t_play=1.0,
+        trend_time=0.5,
         excitation=math.radians(5.0),
         travel_cost=0.3,
         travel_free=1.0,

@@ -11,7 +11,7 @@ from runtime.ensemble import Ensemble
 from runtime.forecast import Forecast, belief
 from runtime.identification import IncrementalModel
 from runtime.imagination import Imagines, Prediction, Snapshot
-from runtime.reference import Reference
+from runtime.reference import Reference, Trend
 from runtime.switching import REASONS, Action, Cast, Decision, Reason, decide
 
 
@@ -67,7 +67,7 @@ class Plays:
         self._model = model
         self._cast = cast
         self._laws = laws
-        self._reference = reference
+        self._reference, self._trend = reference, Trend(settings.trend_time, dt)
         self._settings = settings
         self._dt = dt
         self._lockstep = lockstep
@@ -97,6 +97,7 @@ class Plays:
         """
         if self._settings.switch == "none":
             return None
+        self._trend.see(self._reference.at(t))
         played = self._collect(tick)
         if self._model.alarmed:
             self._alarm_at, self._watch_until = tick, tick + self._settle + self._watch
@@ -116,10 +117,8 @@ class Plays:
 
     def _snapshot(self, t: float) -> Snapshot:
         """Return all that the imagination starts from."""
-        if self._settings.preview:
-            reference = self._reference.preview(t, self._samples)
-        else:
-            reference = np.tile(self._reference.at(t).astype(np.float32), (self._samples, 1))
+        known = self._reference.preview(t, self._samples) if self._settings.preview else None
+        reference = self._trend.ahead(self._samples) if known is None else known
         return Snapshot(
             **self._model.snapshot()._asdict(), reference=reference, incumbent=self._cast.live.copy(),
             laws=self._laws.linear() if self._laws else (), law=self._cast.law,

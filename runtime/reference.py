@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from pathlib import Path
 from typing import Protocol
 
@@ -25,8 +26,8 @@ class Reference(Protocol):
     def at(self, t: float) -> np.ndarray:
         """Return theta, phi, beta [rad], shape (3,), for time t."""
 
-    def preview(self, t: float, samples: int) -> np.ndarray:
-        """Return the reference at t and the samples after it, shape (samples, 3) float32, as far as it is known."""
+    def preview(self, t: float, samples: int) -> np.ndarray | None:
+        """Return the reference at t and the samples after it, shape (samples, 3) float32; None if nobody knows them."""
 
 
 class RecordedReference:
@@ -83,9 +84,44 @@ class LiveReference:
         """Return the set-point, shape (3,) [rad]; the array is reused."""
         return self._now
 
-    def preview(self, t: float, samples: int) -> np.ndarray:
-        """Return the set-point repeated, shape (samples, 3) float32: nobody knows the next one."""
-        return np.tile(self._now.astype(np.float32), (samples, 1))
+    def preview(self, t: float, samples: int) -> None:
+        """Return None: nobody knows the next set-point."""
+
+
+class Trend:
+    """What a reference is taken to do that nobody knows beforehand: it goes on as it moves now, and slows down.
+
+        r(t + s) = r(t) + r'(t) T (1 - exp(-s / T))
+
+    A ramp that ended now would be a step of its rate: members with high gains are imagined to swing after it, and the
+    one that follows ramps best looks worst. r' of an axis is the least of its slopes over three times ``WINDOW``, where
+    all have one sign, and else zero: a set-point that steps has no slope.
+    """
+
+    WINDOW = 0.1
+    """Over which a slope is taken [s]."""
+    WINDOWS = 3
+
+    def __init__(self, time: float, dt: float = DT) -> None:
+        """Take the time constant T [s], 0 to hold what is asked for now, and the time between two samples [s]."""
+        self._time, self._dt = time, dt
+        self._window = max(round(self.WINDOW / dt), 1)
+        self._past: deque[np.ndarray] = deque(maxlen=self.WINDOWS * self._window + 1 if time else 1)
+
+    def see(self, now: np.ndarray) -> None:
+        """Take the reference (3,) [rad] of the next sample."""
+        self._past.append(now.copy())
+
+    def ahead(self, samples: int) -> np.ndarray:
+        """Return the reference seen last and ``samples`` - 1 after it, shape (samples, 3) float32 [rad]."""
+        out = np.tile(self._past[-1], (samples, 1))
+        if self._time and len(self._past) == self._past.maxlen:
+            at = np.array(self._past)[:: self._window]
+            slopes = np.diff(at, axis=0) / (self._window * self._dt)
+            one_sign = np.abs(np.sign(slopes).sum(axis=0)) == self.WINDOWS
+            rate = np.where(one_sign, np.sign(slopes[-1]) * np.abs(slopes).min(axis=0), 0.0)
+            out += np.outer(-self._time * np.expm1(-self._dt / self._time * np.arange(samples)), rate)
+        return out.astype(np.float32)
 
 
 def _read_table(path: Path) -> np.ndarray:

@@ -11,7 +11,7 @@ from runtime.identification import IncrementalModel
 from runtime.imagination import Imagination, Prediction
 from runtime.plays import Played, Plays
 from runtime.population import BehaviouralPolicy, load_population
-from runtime.reference import RecordedReference
+from runtime.reference import LiveReference, RecordedReference
 from runtime.switching import Action, Cast, Decision, Reason
 from task.limits import DT
 from task.state import STATE
@@ -97,6 +97,7 @@ class Foretold:
 
     def request(self, snapshot, tick):
         """Take a question."""
+        self.question = snapshot
 
     def wait(self, asked):
         returns = self.returns.pop(0) if len(self.returns) > 1 else self.returns[0]
@@ -189,3 +190,37 @@ def test_an_alarm_does_not_hasten_what_chance_says(population):
     settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=2, watch=0.5)
     played = foretell(population, settings, False, [HARD, QUIET, HARD, QUIET, QUIET], "good", alarm_at=12)
     assert all(p.decision.action is Action.KEEP for p in played)
+
+
+RAMP = np.column_stack([0.1 + 0.1 * DT * np.arange(2000), np.zeros(2000), np.zeros(2000)])
+"""Pitch goes up by 0.1 rad/s."""
+
+
+def asked_about(population, settings, reference, ticks=41):
+    """Return the pitch of the last question's reference, 1 s from tick 40 on; live set-points follow RAMP."""
+    flight = Flight(population, None, settings)
+    flight.plays._imagination = Foretold([[-1.0] * 5])
+    flight.plays._reference = reference
+    for tick in range(ticks):
+        if isinstance(reference, LiveReference):
+            reference.set(*RAMP[tick, :2])
+        flight.model.observe(flight.x)
+        flight.plays.step(tick, tick * DT)
+        flight.model.command(np.array([-0.02477, 0.0, 0.0]))
+    return flight.plays._imagination.question.reference[:, 0]
+
+
+@pytest.mark.parametrize("preview", [True, False])
+@pytest.mark.parametrize("live", [True, False])
+def test_what_is_not_known_of_the_reference_goes_on_as_it_moves(population, preview, live):
+    settings = msgspec.structs.replace(SETTINGS, preview=preview, trend_time=0.5)
+    pitch = asked_about(population, settings, LiveReference() if live else RecordedReference(RAMP))
+    assert pitch.shape == (101,)
+    assert pitch[0] == pytest.approx(0.14)
+    goes = 0.1 if preview and not live else 0.1 * 0.5 * (1.0 - np.exp(-1.0 / 0.5))
+    assert pitch[100] - pitch[0] == pytest.approx(goes, rel=1e-4)
+
+
+def test_without_trend_what_is_not_known_is_held(population):
+    settings = msgspec.structs.replace(SETTINGS, preview=False)
+    np.testing.assert_allclose(asked_about(population, settings, RecordedReference(RAMP)), 0.14, rtol=1e-6)

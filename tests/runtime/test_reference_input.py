@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from runtime.reference import LiveReference, load_reference
+from runtime.reference import LiveReference, Trend, load_reference
 from task.errors import UserError
 from task.state import STATE
 
@@ -64,6 +64,53 @@ def test_a_live_reference_holds_the_pitch_it_finds_until_it_is_told():
     np.testing.assert_allclose(live.at(0.0), [0.05, 0.0, 0.0])
     live.set(0.1, -0.2)
     live.set(np.nan, 0.0)
-    np.testing.assert_allclose(live.preview(3.0, 4), [[0.1, -0.2, 0.0]] * 4, atol=1e-7)
+    assert live.preview(3.0, 4) is None
     live.start(x)
     np.testing.assert_allclose(live.at(0.0), [0.1, -0.2, 0.0])
+
+
+def seen(rows, time):
+    """Return what Trend makes of rows seen one after the other, 201 samples from the last one on."""
+    trend = Trend(time)
+    for row in rows:
+        trend.see(row)
+    return trend.ahead(201)
+
+
+def ramp(theta, phi, samples=100):
+    t = np.arange(samples) * 0.01
+    return np.column_stack([0.1 + theta * t, phi * t, 0.0 * t])
+
+
+def test_what_nobody_knows_goes_on_as_it_moves_and_slows_down():
+    ahead = seen(ramp(0.05, -0.2), 0.5)
+    assert ahead.dtype == np.float32
+    last = ramp(0.05, -0.2)[-1]
+    np.testing.assert_allclose(ahead[0], last, atol=1e-7)
+    np.testing.assert_allclose((ahead[1] - ahead[0]) / 0.01, [0.05, -0.2, 0.0], rtol=0.02, atol=1e-6)
+    moved = 0.5 * (1.0 - np.exp(-2.0 / 0.5))  # of the rate, after 2 s
+    np.testing.assert_allclose(ahead[200], last + moved * np.array([0.05, -0.2, 0.0]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        pytest.param(ramp(0.05, -0.2)[:30], id="not yet seen for three windows"),
+        pytest.param(np.repeat([[0.0, 0.0, 0.0], [0.3, 0.3, 0.0]], [90, 10], axis=0), id="a step"),
+        pytest.param(np.abs(ramp(0.05, -0.2) - ramp(0.05, -0.2)[85]), id="turned round"),
+        pytest.param(np.repeat(ramp(0.05, -0.2)[::25], 25, axis=0), id="set-points four times a second"),
+    ],
+)
+def test_what_does_not_move_steadily_is_held(rows):
+    np.testing.assert_allclose(seen(rows, 0.5), np.tile(rows[-1], (201, 1)), atol=1e-7)
+
+
+def test_a_ramp_that_slows_down_goes_on_with_its_least_slope():
+    t = np.arange(100) * 0.01
+    rows = np.column_stack([0.1 * t - 0.05 * t**2, 0.0 * t, 0.0 * t])
+    slope = (rows[-1, 0] - rows[-11, 0]) / 0.1
+    np.testing.assert_allclose(np.gradient(seen(rows, 2.0)[:, 0], 0.01)[0], slope, rtol=0.01)
+
+
+def test_without_a_time_the_present_is_held():
+    np.testing.assert_array_equal(seen(ramp(0.05, -0.2), 0.0), np.tile(np.float32(ramp(0.05, -0.2)[-1]), (201, 1)))
