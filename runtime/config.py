@@ -136,6 +136,11 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Drift of the bias b that is allowed for on p, q, r, each sample [rad/s2]: thrust, trim and the centre of gravity
     move the pitching moment most."""
 
+    q_gust: NotNegative = 0.0
+    """Drift of the sideslip that the air adds, each sample [rad]. Where the measured sideslip is that of the inertial
+    velocity, a gust from the side is a moment of roll and yaw, in the proportion of the healthy aircraft's, that no
+    sensor announces: so the bias may drift besides. With 0 a gust is at times taken for a surface."""
+
     model_error: NotNegative = 0.3
     """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
     wrong [-]; added to the drift of the bias, so that hard manoeuvres alarm no more than gentle ones."""

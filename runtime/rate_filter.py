@@ -13,7 +13,16 @@ import math
 import numpy as np
 
 from task.limits import DT
-from task.rates import N_EFFECT, RATES, RateModel, dynamic_pressure, effect_terms, features
+from task.rates import (
+    N_EFFECT,
+    RATES,
+    SIDESLIP,
+    RateModel,
+    dynamic_pressure,
+    effect_terms,
+    features,
+    sideslip_slopes,
+)
 from task.state import N_ACTION
 
 N = RATES + N_ACTION + RATES + 2
@@ -39,6 +48,9 @@ class RateFilters:
         self.s, self.P = np.zeros((size, N)), np.zeros((size, N, N))
         self.q = np.zeros((size, N))
         """Variance added at each prediction (M, 11)."""
+        self.q_gust = 0.0
+        """Variance of the sideslip that the air adds at each prediction, and no sensor sees [rad2]: by what it does the
+        bias drifts besides."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
         self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
@@ -56,10 +68,13 @@ class RateFilters:
         self._F_effect = self.F_rates[:, :, LAMBDA]
         self._F_transposed = self.F_rates.transpose(0, 2, 1)
         self._P_rows, self._P_columns, self._P_rates = self.P[:, W], self.P[:, :, W], self.P[:, W, W]
+        self._P_bias = self.P[:, B, B]
         self._P_transposed = self.P.transpose(0, 2, 1)
         self._s_column, self._w = self.s[:, :, None], self.s[:, W]
         # Products of arrays that always lie at the same place: elsewhere the last bit may differ.
         self._phi, self._terms = np.zeros(model.drift.shape[0]), np.zeros(N_EFFECT)
+        self._slopes, self._sideslip, self._gust = np.zeros(5), np.zeros(RATES), np.zeros((RATES, RATES))
+        self._drift_sideslip = np.ascontiguousarray(model.drift[SIDESLIP])
         self._effects = np.zeros((RATES, N_ACTION))
         self._effects_flat, self._effects_transposed = self._effects.reshape(-1), self._effects.T
         self._rows, self._columns = np.zeros((size, RATES, N)), np.zeros((size, N, RATES))
@@ -88,6 +103,10 @@ class RateFilters:
         self._terms[:] = effect_terms(V, alpha, qbar)
         np.dot(self._terms, self._effect, out=self._effects_flat)
         np.multiply(self._effects, u[:, None, :], out=self._F_effect)
+        if self.q_gust:
+            self._slopes[:] = sideslip_slopes(V, alpha, beta, qbar)
+            np.dot(self._slopes, self._drift_sideslip, out=self._sideslip)
+            np.multiply(self.q_gust * self._sideslip[:, None], self._sideslip, out=self._gust)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
         if known is not None:
@@ -107,6 +126,8 @@ class RateFilters:
         np.matmul(self.P, self._F_transposed, out=self._columns)
         np.copyto(self._P_columns, self._columns)
         np.add(self.variances, self.q, out=self.variances)
+        if self.q_gust:
+            np.add(self._P_bias, self._gust, out=self._P_bias)
 
     def update(self, w: np.ndarray | list[float]) -> bool:
         """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""

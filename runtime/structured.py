@@ -53,6 +53,7 @@ class Effectiveness:
         self._limited = self._agile - N_ACTION * settings.ranges
         """Row of the first filter that looks for a range."""
         self.filter = RateFilters(model, self._agile + N_ACTION, dt)
+        self.filter.q_gust = settings.q_gust**2
         self._inputs = Inputs(self.hypotheses, command_lag, dt)
         self._u, self._known = np.zeros((2, self._agile + N_ACTION, N_ACTION))
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""

@@ -46,6 +46,8 @@ LOW_ALPHA, HIGH_ALPHA = math.radians(-6.0), math.radians(12.0)
 continued, the bends would have surfaces work backwards in a deep stall."""
 N_FEATURES = 26 + len(BENDS)
 """Length of phi."""
+SIDESLIP = slice(8, 13)
+"""Where among the features those of the sideslip are."""
 N_EFFECT = 4
 """Terms of B_j: constant, alpha, speed, knee."""
 
@@ -100,6 +102,11 @@ def features(p: Any, q: Any, r: Any, V: Any, alpha: Any, beta: Any, washed: Any,
         p * r,
         *(qbar * beyond(alpha, bend) for bend in BENDS),
     )
+
+
+def sideslip_slopes(V: Any, alpha: Any, beta: Any, qbar: Any) -> tuple[Any, ...]:
+    """Return the derivatives of the features ``SIDESLIP`` by the sideslip [1/rad]; those of all others are zero."""
+    return qbar, 2.0 * qbar * beta, 3.0 * qbar * beta * beta, qbar * known(alpha), qbar * (V / V_NOMINAL - 1.0)
 
 
 def effect_terms(V: Any, alpha: Any, qbar: Any) -> tuple[Any, Any, Any, Any]:

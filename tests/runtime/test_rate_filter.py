@@ -5,13 +5,18 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from runtime.hypotheses import Evidence
-from runtime.rate_filter import N, RateFilters
+from runtime.rate_filter import B, N, RateFilters
+from task.rates import SIDESLIP, dynamic_pressure, features
 from tests.runtime.rate_aircraft import MODEL, state
 
 
-def test_the_bank_is_filterpys_filters():
+@pytest.mark.parametrize("q_gust", [0.0, 1e-4])
+def test_the_bank_is_filterpys_filters(q_gust):
     rng, size = np.random.default_rng(0), 4
-    ours = RateFilters(MODEL, size)
+    drift = MODEL.drift.copy()
+    drift[SIDESLIP] = rng.normal(size=(5, 3)) * 1e-3
+    ours = RateFilters(MODEL._replace(drift=drift), size)
+    ours.q_gust = q_gust
     ours.s[:] = rng.normal(size=(size, N)) * 0.1
     ours.variances[:] = rng.uniform(1e-4, 1.0, (size, N))
     ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, N)), 1e-7
@@ -22,12 +27,15 @@ def test_the_bank_is_filterpys_filters():
         theirs.Q, theirs.R = np.diag(ours.q[i]), ours.r * np.eye(3)
     for _ in range(200):
         x = state(rng.normal(size=3) * 0.1, rng.uniform(80, 150), rng.uniform(0, 0.1), rng.normal() * 0.02)
-        ours.linearise(x.tolist(), 0.01 * rng.normal(), rng.uniform(-0.17, 0.17, (size, 3)))
+        washed = 0.01 * rng.normal()
+        ours.linearise(x.tolist(), washed, rng.uniform(-0.17, 0.17, (size, 3)))
+        Q = q_gust * moments_of_sideslip(drift, x, washed)
         ours.predict()
         z = ours.s[0, :3] + 1e-3 * rng.normal(size=3)
         for i, theirs in enumerate(bank):
             F = np.eye(N)
             F[:3] = ours.F_rates[i]
+            theirs.Q[B, B] = np.diag(ours.q[i, B]) + Q
             theirs.predict(u=ours.drift_step, F=F)
             theirs.update(z)
         assert ours.update(z)
@@ -38,6 +46,15 @@ def test_the_bank_is_filterpys_filters():
             constant = 1.5 * np.log(2.0 * np.pi)
             assert ours.log_likelihood[i] - constant == pytest.approx(theirs.log_likelihood, rel=1e-6)
     np.testing.assert_array_equal(ours.P, ours.P.transpose(0, 2, 1))
+
+
+def moments_of_sideslip(drift, x, washed, step=1e-6):
+    """Return m m' of the change m of p', q', r' by sideslip (3,), by differences of all features."""
+    p, q, r, V, alpha, beta, _, _, _, h = x
+    qbar = dynamic_pressure(V, h)
+    low, high = (np.array(features(p, q, r, V, alpha, b, washed, qbar)) for b in (beta - step, beta + step))
+    m = (high - low) / (2.0 * step) @ drift
+    return np.outer(m, m)
 
 
 def test_the_evidence_is_the_posterior_of_a_bank_of_models():

@@ -14,6 +14,7 @@ from runtime.unrest import Unrest
 from task.errors import UserError
 from task.limits import DT
 from task.model import N_REGRESSORS
+from task.rates import SIDESLIP, dynamic_pressure
 from task.state import N_IDENTIFIED, STATE
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, state, watch
 
@@ -61,6 +62,46 @@ def test_slopes_that_change_are_not_taken_for_a_surface():
     assert watch(found, aircraft, 300)
     np.testing.assert_allclose(found.believed, 1.0, atol=0.2)
     assert found.filter.s[found.evidence.believed, SLOPES.start] == pytest.approx(4.0, abs=1.0)
+
+
+def what_a_gust_is_taken_for(q_gust, reversed_rudder=False):
+    """Return lambda of the rudder as believed, while somebody holds the nose against a gust from the side.
+
+    An alarm for the elevator has opened the filters; of the rudder, which nobody moved, they were not told.
+    """
+    drift = MODEL.drift.copy()
+    drift[SIDESLIP.start] = -2e-3, 0.0, 6e-4
+    settings = msgspec.structs.replace(SETTINGS, q_gust=q_gust)
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(settings, MODEL._replace(drift=drift), 1)
+    quiet, step = aircraft.command, aircraft.step
+    qbar = dynamic_pressure(90.0, 2000.0)
+    watch(found, aircraft, 500)
+    aircraft.effect = np.array([0.5, 1.0, 1.0])
+    aircraft.command = lambda: quiet() * np.array([1.0, 0.3, 0.03])
+    watch(found, aircraft, 300)
+    began = aircraft.tick
+    if reversed_rudder:
+        aircraft.effect = np.array([0.5, 1.0, -1.0])
+    gust = lambda: 0.06 * min(1.0, (aircraft.tick - began) * DT)  # noqa: E731
+
+    def countered():
+        moment = drift[SIDESLIP.start] * qbar * gust()
+        roll, yaw = moment[0] / (3.5e-3 * qbar), moment[2] / (1e-3 * qbar)
+        return quiet() * np.array([1.0, 0.3, 0.03]) + np.array([0.0, roll, yaw])
+
+    def blown(u):
+        step(u)
+        aircraft.w += DT * drift[SIDESLIP.start] * qbar * gust()
+
+    aircraft.command, aircraft.step = countered, blown
+    watch(found, aircraft, 60)
+    return found.believed[2]
+
+
+def test_a_gust_from_the_side_is_no_rudder_that_fails():
+    assert what_a_gust_is_taken_for(8e-4) == pytest.approx(1.0, abs=0.05)
+    assert what_a_gust_is_taken_for(8e-4, reversed_rudder=True) == pytest.approx(-1.0, abs=0.2)
+    assert what_a_gust_is_taken_for(0.0) < 0.5
 
 
 def test_a_second_reversal_is_found_as_well():
