@@ -217,16 +217,18 @@ class TestBehaviouralPolicy:
         assert np.isfinite(policy.act(np.zeros(7))).all()
 
     def test_a_call_leaves_nothing_behind(self, policy, without_collections):
-        s = np.zeros(7)
+        s, grown = np.zeros(7), []
         tracemalloc.start()
         try:
             for _ in range(300):  # the interpreter's own lists of freed objects fill once
                 policy.act(s)
-            before = tracemalloc.take_snapshot()
-            for _ in range(1000):
-                policy.act(s)
-            grown = [d for d in tracemalloc.take_snapshot().compare_to(before, "filename") if "runtime" in str(d)]
+            for _ in range(3):  # what calls leave grows each time, unlike what a thread of another test ends with
+                before = tracemalloc.take_snapshot()
+                for _ in range(1000):
+                    policy.act(s)
+                differences = tracemalloc.take_snapshot().compare_to(before, "filename")
+                grown.append(sum(d.size_diff for d in differences if "runtime" in str(d)))
         finally:
             tracemalloc.stop()
-        assert sum(d.size_diff for d in grown) < 512
+        assert min(grown) < 512
         assert policy.act(s) is policy.act(s)
