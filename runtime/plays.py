@@ -97,7 +97,7 @@ class Plays:
         """
         if self._settings.switch == "none":
             return None
-        self._trend.see(self._reference.at(t))
+        self._trend.see(tick, self._reference.at(t))
         played = self._collect(tick)
         if self._model.alarmed:
             self._alarm_at, self._watch_until = tick, tick + self._settle + self._watch

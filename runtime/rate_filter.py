@@ -73,8 +73,9 @@ class RateFilters:
         self._s_column, self._w = self.s[:, :, None], self.s[:, W]
         # Products of arrays that always lie at the same place: elsewhere the last bit may differ.
         self._phi, self._terms = np.zeros(model.drift.shape[0]), np.zeros(N_EFFECT)
-        self._slopes, self._sideslip, self._gust = np.zeros(5), np.zeros(RATES), np.zeros((RATES, RATES))
         self._drift_sideslip = np.ascontiguousarray(model.drift[SIDESLIP])
+        self._by_sideslip, self._sideslip = np.zeros(len(self._drift_sideslip)), np.zeros(RATES)
+        self._gust = np.zeros((RATES, RATES))
         self._effects = np.zeros((RATES, N_ACTION))
         self._effects_flat, self._effects_transposed = self._effects.reshape(-1), self._effects.T
         self._rows, self._columns = np.zeros((size, RATES, N)), np.zeros((size, N, RATES))
@@ -104,8 +105,8 @@ class RateFilters:
         np.dot(self._terms, self._effect, out=self._effects_flat)
         np.multiply(self._effects, u[:, None, :], out=self._F_effect)
         if self.q_gust:
-            self._slopes[:] = sideslip_slopes(V, alpha, beta, qbar)
-            np.dot(self._slopes, self._drift_sideslip, out=self._sideslip)
+            self._by_sideslip[:] = sideslip_slopes(V, alpha, beta, qbar)
+            np.dot(self._by_sideslip, self._drift_sideslip, out=self._sideslip)
             np.multiply(self.q_gust * self._sideslip[:, None], self._sideslip, out=self._gust)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta

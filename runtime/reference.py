@@ -107,9 +107,13 @@ class Trend:
         self._time, self._dt = time, dt
         self._window = max(round(self.WINDOW / dt), 1)
         self._past: deque[np.ndarray] = deque(maxlen=self.WINDOWS * self._window + 1 if time else 1)
+        self._tick = -1
 
-    def see(self, now: np.ndarray) -> None:
-        """Take the reference (3,) [rad] of the next sample."""
+    def see(self, tick: int, now: np.ndarray) -> None:
+        """Take the reference (3,) [rad] of a sample; after a gap slopes are looked for anew."""
+        if tick != self._tick + 1:
+            self._past.clear()
+        self._tick = tick
         self._past.append(now.copy())
 
     def ahead(self, samples: int) -> np.ndarray:

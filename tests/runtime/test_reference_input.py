@@ -72,8 +72,8 @@ def test_a_live_reference_holds_the_pitch_it_finds_until_it_is_told():
 def seen(rows, time):
     """Return what Trend makes of rows seen one after the other, 201 samples from the last one on."""
     trend = Trend(time)
-    for row in rows:
-        trend.see(row)
+    for tick, row in enumerate(rows):
+        trend.see(tick, row)
     return trend.ahead(201)
 
 
@@ -110,6 +110,15 @@ def test_a_ramp_that_slows_down_goes_on_with_its_least_slope():
     rows = np.column_stack([0.1 * t - 0.05 * t**2, 0.0 * t, 0.0 * t])
     slope = (rows[-1, 0] - rows[-11, 0]) / 0.1
     np.testing.assert_allclose(np.gradient(seen(rows, 2.0)[:, 0], 0.01)[0], slope, rtol=0.01)
+
+
+def test_a_gap_is_no_slope():
+    rows, trend = ramp(0.05, -0.2, 200), Trend(0.5)
+    for tick in (*range(100), *range(150, 180)):
+        trend.see(tick, rows[tick])
+    np.testing.assert_allclose(trend.ahead(201), np.tile(rows[179], (201, 1)), atol=1e-7)
+    trend.see(180, rows[180])  # three windows after the gap
+    np.testing.assert_allclose(np.diff(trend.ahead(2), axis=0)[0] / 0.01, [0.05, -0.2, 0.0], rtol=0.02, atol=1e-5)
 
 
 def test_without_a_time_the_present_is_held():
