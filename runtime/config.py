@@ -139,7 +139,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_gust: NotNegative = 0.0
     """Drift of the sideslip that the air adds, each sample [rad]. Where the measured sideslip is that of the inertial
     velocity, a gust from the side is a moment of roll and yaw, in the proportion of the healthy aircraft's, that no
-    sensor announces: so the bias may drift besides. With 0 a gust is at times taken for a surface."""
+    sensor announces: so the bias may drift besides, from the first time that the filters open. With 0 a gust is at
+    times taken for a surface."""
 
     model_error: NotNegative = 0.3
     """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
@@ -379,6 +380,7 @@ PRESETS: dict[str, Adaptation] = {
         margin_trusted=0.1,
         excitation=math.radians(5.0),
         elevator_reserve=math.radians(1.5),
+        q_gust=8e-4,
         head_start=15.0,
         head_start_short=0.5,
         forecast_time=0.2,

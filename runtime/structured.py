@@ -53,7 +53,6 @@ class Effectiveness:
         self._limited = self._agile - N_ACTION * settings.ranges
         """Row of the first filter that looks for a range."""
         self.filter = RateFilters(model, self._agile + N_ACTION, dt)
-        self.filter.q_gust = settings.q_gust**2
         self._inputs = Inputs(self.hypotheses, command_lag, dt)
         self._u, self._known = np.zeros((2, self._agile + N_ACTION, N_ACTION))
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
@@ -77,6 +76,7 @@ class Effectiveness:
         """Start a new flight: a healthy aircraft, nothing counted."""
         self._start_anew(self.settings.effectiveness_sd)
         self._noise.opened = False
+        self.filter.q_gust = 0.0  # a filter that is sure of its surfaces takes no gust for one
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
@@ -387,6 +387,7 @@ class Effectiveness:
             if self.ranges:
                 self._look_for_ranges(self.ranges)
             self._noise.opened = True
+            f.q_gust = settings.q_gust**2
             self.evidence.forget()
         elif opening.closes:
             self._noise.opened = False
