@@ -21,7 +21,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from runtime import codec
 from runtime.clock import SteppedClock
-from runtime.config import resolve
 from runtime.excitation import Excitation
 from runtime.guard import Guard, Health
 from runtime.identification import IncrementalModel, RecursiveLeastSquares
@@ -30,6 +29,7 @@ from runtime.link import Sample
 from runtime.loop import Loop
 from runtime.plays import Plays
 from runtime.population import BehaviouralPolicy, Population, load_population, make_session
+from runtime.presets import resolve
 from runtime.rate_filter import N, RateFilters
 from runtime.recorder import Recorder
 from runtime.reference import RecordedReference

@@ -23,10 +23,10 @@ from export.network import Layer, Network, flatten
 from export.population import Description, Member, Population
 from export.prior import model_prior
 from export.rates import rate_model
-from runtime.config import resolve
 from runtime.link import LOST, OVER, Sample
 from runtime.population import Population as Loaded
 from runtime.population import load_population
+from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session
 from sim_bridge.plant import Plant

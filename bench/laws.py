@@ -15,9 +15,9 @@ import click
 import numpy as np
 
 from bench.law_cases import CASES, Case
-from runtime.config import resolve
 from runtime.laws.catalogue import LAWS, LawName, load_solo
 from runtime.loop import Outcome
+from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session
 from scenarios.campaign.flying import WorldLink

@@ -11,12 +11,13 @@ from types import FrameType
 
 import click
 
-from runtime.config import PRESETS, Configuration, resolve
+from runtime.config import Configuration
 from runtime.laws.catalogue import LAWS, LawName, load_solo
 from runtime.laws.solo import Solo
 from runtime.loop import Outcome
 from runtime.mavlink_link import MavlinkLink
 from runtime.population import Population, load_population
+from runtime.presets import PRESETS, resolve
 from runtime.reference import LiveReference, load_reference
 from runtime.session import Flown, Session
 from runtime.udp import parse_address

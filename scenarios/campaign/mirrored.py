@@ -6,11 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from runtime.config import PRESETS
 from runtime.laws.catalogue import load_settings
 from runtime.laws.law import Law
 from runtime.laws.pid import PID
 from runtime.laws.solo import COMMAND_LAG, Solo
+from runtime.presets import PRESETS
 from runtime.structured import Effectiveness
 from task.errors import UserError
 from task.rates import RateModel

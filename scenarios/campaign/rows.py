@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from runtime.config import PRESETS, Configuration, resolve
+from runtime.config import Configuration
 from runtime.laws.catalogue import LAWS, LawName
+from runtime.presets import PRESETS, resolve
 from scenarios.campaign.mirrored import MIRRORED
 from task.config import Settings
 from task.errors import UserError

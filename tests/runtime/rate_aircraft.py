@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from runtime.config import PRESETS
+from runtime.presets import PRESETS
 from task.limits import DT
 from task.rates import N_EFFECT, N_FEATURES, RateModel, dynamic_pressure, effect_terms, features
 from task.state import N_IDENTIFIED, STATE

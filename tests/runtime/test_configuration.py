@@ -3,7 +3,8 @@ import inspect
 import msgspec
 import pytest
 
-from runtime.config import PRESETS, Adaptation, Configuration, Operation, resolve
+from runtime.config import Adaptation, Configuration, Operation
+from runtime.presets import PRESETS, resolve
 from task.config import convert, to_json
 from task.errors import UserError
 

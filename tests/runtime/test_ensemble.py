@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from runtime.config import Adaptation, resolve
+from runtime.config import Adaptation
 from runtime.ensemble import Ensemble
 from runtime.hypotheses import CROSSED, STRAIGHT
 from runtime.identification import IncrementalModel
 from runtime.laws.catalogue import LAWS, load_settings, make_law
 from runtime.loop import Outcome
 from runtime.population import BehaviouralPolicy, load_population
+from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session, members_of
 from runtime.switching import Action, Cast, Decision, Reason

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from runtime.config import PRESETS
 from runtime.excitation import Excitation
+from runtime.presets import PRESETS
 from runtime.structured import Effectiveness
 from task.limits import DEFLECTION_LIMIT, DT
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft

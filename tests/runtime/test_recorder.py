@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pyulog import ULog as Reader
 
-from runtime.config import resolve
+from runtime.presets import resolve
 from runtime.recorder import Recorder, Summary, beside, check_writable, percentiles
 from runtime.ulog import ULog
 from task.errors import UserError

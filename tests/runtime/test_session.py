@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from runtime.config import resolve
 from runtime.identification import IncrementalModel
 from runtime.link import Sample
 from runtime.loop import Outcome
 from runtime.population import load_population
+from runtime.presets import resolve
 from runtime.reference import LiveReference, RecordedReference
 from runtime.session import Session, log_path
 from sim_bridge.plant import Plant
@@ -252,7 +252,7 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
 import conftest
-from runtime.config import resolve
+from runtime.presets import resolve
 from runtime.identification import IncrementalModel
 from runtime.population import load_population
 from runtime.reference import LiveReference

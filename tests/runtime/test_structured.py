@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from runtime.advice import sure_signs
-from runtime.config import PRESETS, Adaptation, resolve
+from runtime.config import Adaptation
 from runtime.identification import IncrementalModel
+from runtime.presets import PRESETS, resolve
 from runtime.rate_filter import ALPHA_MID, SLOPES
 from runtime.structured import Effectiveness
 from runtime.switching import opposed
@@ -102,6 +103,24 @@ def test_a_gust_from_the_side_is_no_rudder_that_fails():
     assert what_a_gust_is_taken_for(8e-4) == pytest.approx(1.0, abs=0.05)
     assert what_a_gust_is_taken_for(8e-4, reversed_rudder=True) == pytest.approx(-1.0, abs=0.2)
     assert what_a_gust_is_taken_for(0.0) < 0.5
+
+
+def test_until_an_alarm_nobody_allows_for_gusts():
+    drift = MODEL.drift.copy()
+    drift[SIDESLIP.start] = -2e-3, 0.0, 6e-4
+    gusts = msgspec.structs.replace(SETTINGS, q_gust=8e-4)
+    found = []
+    for settings in (SETTINGS, gusts):
+        aircraft, filters = Aircraft(noise=6.3e-4), Effectiveness(settings, MODEL._replace(drift=drift), 1)
+        watch(filters, aircraft, 500)
+        found.append(filters)
+    plain, doubting = found
+    np.testing.assert_array_equal(plain.filter.P, doubting.filter.P)
+    aircraft.effect = np.array([-1.0, 1.0, 1.0])
+    assert watch(doubting, aircraft, 300)
+    assert doubting.filter.q_gust == 8e-4**2
+    doubting.reset()
+    assert doubting.filter.q_gust == 0.0
 
 
 def test_a_second_reversal_is_found_as_well():

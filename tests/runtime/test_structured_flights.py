@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from runtime.config import resolve
 from runtime.loop import Outcome
 from runtime.population import load_population
+from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session
 from task.reference import random_reference

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from runtime.config import PRESETS, Adaptation
+from runtime.config import Adaptation
+from runtime.presets import PRESETS
 from runtime.switching import REASONS, Action, Cast, Decision, Reason, decide
 
 SOFT = Adaptation(switch="soft", margin=0.5, prior="none")

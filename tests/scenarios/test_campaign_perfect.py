@@ -8,13 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from runtime.config import Operation, resolve
+from runtime.config import Operation
 from runtime.ensemble import Ensemble
 from runtime.guard import Guard
 from runtime.identification import IncrementalModel
 from runtime.imagination import Snapshot
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.population import BehaviouralPolicy, load_population
+from runtime.presets import resolve
 from runtime.switching import Action, Cast, Decision, Reason
 from scenarios.campaign import perfect
 from scenarios.campaign.design import cells, reference_rows

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from runtime.config import resolve
 from runtime.population import load_population
+from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session
 from scenarios.campaign.flying import WorldLink
