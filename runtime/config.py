@@ -135,8 +135,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     q_gust: NotNegative = 0.0
     """Drift of the sideslip that the air adds, each sample [rad]. Where the measured sideslip is that of the inertial
     velocity, a gust from the side is a moment of roll and yaw, in the proportion of the healthy aircraft's, that no
-    sensor announces: so the bias may drift besides, from the first time that the filters open. With 0 a gust is at
-    times taken for a surface."""
+    sensor announces: so the bias may drift besides, while it is in doubt what aileron or rudder do. With 0 a gust is
+    at times taken for a surface."""
 
     model_error: NotNegative = 0.3
     """Share of its own change from sample to sample by which the modelled acceleration of the healthy aircraft may be
@@ -219,6 +219,9 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Corner frequencies of first-order lags with which all surfaces may be found to follow [Hz]. The imagination has
     no lag: such surfaces are imagined to follow at once from where they are, which suits laws that are told where that
     is, and misleads a cast of networks."""
+
+    q_uncommanded: NotNegative = 0.0
+    """How fast a surface moves by itself drifts by so much each sample [rad/s]; 0: no surface is found to."""
 
     ranges: bool = True
     """Whether a surface may be found to have lost some of its range."""

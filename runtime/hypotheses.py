@@ -31,6 +31,8 @@ class Hypothesis(NamedTuple):
     """How fast every surface moves at most [rad/s]."""
     bandwidth: float = math.inf
     """How fast every surface closes in on its command, as the corner frequency of a first-order lag [Hz]."""
+    uncommanded: int | None = None
+    """The surface that moves besides by itself (:mod:`runtime.uncommanded`)."""
     limited: int | None = None
     """The surface whose range is to be found (:mod:`runtime.ranges`)."""
 
@@ -40,19 +42,22 @@ def hypotheses(
     crossed: bool,
     rates: tuple[float, ...],
     bandwidths: tuple[float, ...],
+    uncommanded: bool,
     ranges: bool,
     dt: float,
 ) -> tuple[Hypothesis, ...]:
-    """Return the healthy one first, then each delay [s], crossed aileron and rudder, each rate limit [rad/s], ranges.
+    """Return the healthy one first, then each delay [s], crossed aileron and rudder, rate limits [rad/s], lags [Hz].
 
-    ``ranges``: whether one of a limited range follows for each of elevator, aileron and rudder.
+    ``uncommanded``, ``ranges``: whether one in which a surface moves by itself, and one in which its range is limited,
+    follow for each of elevator, aileron and rudder.
     """
     late = sorted({round(delay / dt) for delay in delays} - {0})
     straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
     slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(rates), reverse=True))
     slow += tuple(Hypothesis(0, STRAIGHT, bandwidth=hz) for hz in sorted(set(bandwidths), reverse=True))
+    moving = tuple(Hypothesis(0, STRAIGHT, uncommanded=surface) for surface in STRAIGHT) * uncommanded
     limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * ranges
-    return straight + (Hypothesis(0, CROSSED),) * crossed + slow + limited
+    return straight + (Hypothesis(0, CROSSED),) * crossed + slow + moving + limited
 
 
 def actuators(choice: Hypothesis) -> np.ndarray:
@@ -143,9 +148,10 @@ class Evidence:
     SAYS_OPEN = 2.0
     """The same while the filters are open."""
 
-    def __init__(self, size: int, memory: float, needed: float, needed_open: float) -> None:
+    def __init__(self, odds: list[float], memory: float, needed: float, needed_open: float) -> None:
+        """``odds``: how far behind each hypothesis is when all are weighed anew [nats]."""
         self._closed, self._open = (memory, needed, self.SAYS), (1.0, needed_open, self.SAYS_OPEN)
-        self._size = size
+        self._odds = odds
         self.reset()
 
     def reset(self) -> None:
@@ -155,8 +161,9 @@ class Evidence:
 
     def forget(self) -> None:
         """Keep what is believed and weigh anew."""
-        self.behind = [0.0] * self._size
+        self.behind = list(self._odds)
         """How far each hypothesis is behind the best [nats]."""
+        self.behind[self.believed] = 0.0
         self.best = self.believed
         self._held = 0
 

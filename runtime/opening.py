@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from runtime.config import Adaptation
-from runtime.rate_filter import LAMBDA, N
+from runtime.rate_filter import LAMBDA, MOTION, N
 
 
 class Opening:
@@ -105,8 +105,13 @@ class Recollection:
         np.copyto(self.recalled, self.before(sample))
         np.copyto(self.long_ago, self._ring[sample % len(self._ring)])
 
-    def keep(self, sample: int, state: np.ndarray, effectiveness: np.ndarray) -> None:
-        """Keep this sample's state (11,), with lambda (3,) in place of its own."""
+    def keep(self, sample: int, state: np.ndarray, effectiveness: np.ndarray, moving: bool) -> None:
+        """Keep this sample's state (11,), with lambda (3,) in place of its own.
+
+        moving: whether one of its slopes is how fast a surface moves by itself.
+        """
         now = self._ring[sample % len(self._ring)]
         np.copyto(now, state)
         now[LAMBDA] = effectiveness
+        if moving:
+            now[MOTION] = 0.0

@@ -37,6 +37,7 @@ PRESETS: dict[str, Adaptation] = {
         laws=("indi-rls-protected", "pid"),
         first="indi-rls-protected",
         bandwidths=(1.0,),
+        q_uncommanded=0.02,
         margin=0.5,
         margin_trusted=0.1,
         excitation=math.radians(5.0),

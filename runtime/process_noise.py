@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from runtime.config import Adaptation
-from runtime.rate_filter import LAMBDA, B, N, W
+from runtime.rate_filter import LAMBDA, MOTION, B, N, W
+from runtime.uncommanded import UNIT
 from task.rates import KNEE
 from task.state import N_ACTION
 
@@ -19,17 +20,18 @@ LOW_KNEE = math.radians(-3.0)
 class ProcessNoise:
     """Quiet or open: rates and lambda have a fixed drift each; the bias takes what the air and the model's error do.
 
-    The filters are those of :class:`runtime.structured.Effectiveness`: the hypotheses, ending with those that look for
-    a range, then an agile one for each surface.
+    The filters are those of :class:`runtime.structured.Effectiveness`: the hypotheses, ending with those in which a
+    surface moves by itself and those that look for a range, then an agile one for each surface.
     """
 
     UNKNOWN = 0.25
     """Drift of the bias where the model lacks an angle, each sample (variance) [rad2/s4]."""
 
-    def __init__(self, settings: Adaptation, hypotheses: int, ranges: int, dt: float) -> None:
-        """Take how many hypotheses there are, and how many of them look for a range."""
+    def __init__(self, settings: Adaptation, moving: int, limited: int, agile: int, dt: float) -> None:
+        """Take the first row of surfaces that move by themselves, of those with a range, and of the agile ones."""
         self._settings, self._dt = settings, dt
-        self._agile, self._limited = hypotheses, hypotheses - ranges
+        self._moving, self._limited, self._agile = moving, limited, agile
+        self._motion = (settings.q_uncommanded / UNIT) ** 2
         self._quiet = self._drifts(settings.q_rate, settings.q_effectiveness)
         self._open = self._drifts(settings.q_rate_open, settings.q_effectiveness_open)
         self._least_bias = np.square(settings.q_bias).tolist()
@@ -44,8 +46,10 @@ class ProcessNoise:
     def _drifts(self, rate: float, effectiveness: float) -> np.ndarray:
         q = np.zeros((self._agile + N_ACTION, N))
         q[:, W], q[:, LAMBDA] = rate**2, effectiveness**2
-        # A range changes at once or not at all, and nothing else with it.
+        # A range changes at once or not at all, and nothing else with it or with a surface that moves.
         q[self._limited : self._agile, LAMBDA] = self._settings.q_effectiveness**2
+        np.fill_diagonal(q[self._moving : self._limited, LAMBDA], 0.0)
+        q[self._moving : self._limited, MOTION] = self._motion
         agile = q[self._agile :, LAMBDA]
         np.fill_diagonal(agile, max(effectiveness, self._settings.q_effectiveness_agile) ** 2)
         return q
@@ -58,12 +62,13 @@ class ProcessNoise:
         alpha: float,
         calm: bool,
         lacking: Sequence[bool],
+        uncommanded: int | None,
     ) -> None:
         """Set the variances (M, 11) that the next prediction adds.
 
         levels: of turbulence on p, q, r; predicted: what the healthy model moves them by in this sample [rad/s]; alpha:
         angle of attack [rad]; calm: whether no alarm was lately; lacking: whether angle of attack and sideslip stand
-        still.
+        still; uncommanded: the surface that is believed to move by itself, or None.
         """
         settings = self._settings
         q[:] = self._open if self.opened else self._quiet
@@ -77,6 +82,8 @@ class ProcessNoise:
             )
         ]
         self._predicted = predicted
+        if uncommanded is not None:
+            q[self._agile :, LAMBDA.start + uncommanded], q[self._agile :, MOTION] = 0.0, self._motion
         no_alpha, no_beta = lacking
         if no_alpha or no_beta:
             q[:, B] += self.UNKNOWN * np.array((no_beta, no_alpha, no_beta))

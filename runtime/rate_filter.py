@@ -33,6 +33,10 @@ ALPHA_MID = 0.05
 """Angle of attack about which a change of the pitching moment's slope turns [rad]: it adds little to the bias there."""
 
 
+MOTION = N - 1
+"""Where a filter in which a surface moves by itself has how fast that is, instead of the second slope."""
+
+
 class RateFilters:
     """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt (A phi + B known), w measured with independent noise.
 
@@ -51,6 +55,8 @@ class RateFilters:
         self.q_gust = 0.0
         """Variance of the sideslip that the air adds at each prediction, and no sensor sees [rad2]: by what it does the
         bias drifts besides."""
+        self.moving: tuple[np.ndarray, np.ndarray] | None = None
+        """Filters in which a surface moves by itself, and the place of lambda in each that goes on so."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
         self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
@@ -110,6 +116,8 @@ class RateFilters:
             np.multiply(self.q_gust * self._sideslip[:, None], self._sideslip, out=self._gust)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
+        if self.moving is not None:
+            self.F_rates[self.moving[0], 2, MOTION] = 0.0
         if known is not None:
             np.matmul(known, self._effects_transposed, out=self.known_step)
 
@@ -126,9 +134,18 @@ class RateFilters:
         np.copyto(self._P_rows, self._rows)
         np.matmul(self.P, self._F_transposed, out=self._columns)
         np.copyto(self._P_columns, self._columns)
+        if self.moving is not None:
+            self._move(*self.moving)
         np.add(self.variances, self.q, out=self.variances)
         if self.q_gust:
             np.add(self._P_bias, self._gust, out=self._P_bias)
+
+    def _move(self, rows: np.ndarray, places: np.ndarray) -> None:
+        """Let surfaces go on as they move by themselves."""
+        s, P, dt = self.s, self.P, self.dt
+        s[rows, places] += dt * s[rows, MOTION]
+        P[rows, places] += dt * P[rows, MOTION]
+        P[rows, :, places] += dt * P[rows, :, MOTION]
 
     def update(self, w: np.ndarray | list[float]) -> bool:
         """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""

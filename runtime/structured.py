@@ -19,6 +19,7 @@ from runtime.process_noise import ProcessNoise
 from runtime.ranges import Ranges
 from runtime.rate_filter import ALPHA_MID, LAMBDA, SLOPES, B, RateFilters, W
 from runtime.stuck import Stuck, turning
+from runtime.uncommanded import Uncommanded
 from runtime.unrest import Unrest
 from task.actuators import ACTUATOR
 from task.limits import DT
@@ -39,30 +40,44 @@ class Effectiveness:
     """Standard deviation of a stuck rate as the attitude tells it [rad/s]."""
     DEAD = 0.2
     """A surface whose lambda is known as well as this and may be zero is taken to be zero: it is stuck."""
+    DOUBT = 0.1
+    """Gusts are allowed for while lambda of aileron or rudder is known less well than this: a filter that is sure of
+    its surfaces takes no gust for one, and the allowance would hide faults, and the turbulence from the thresholds."""
     STEADY = 0.1
     """Of the doubt about the bias when the filters open, where only a range is looked for."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
         self.hypotheses = hypotheses(
-            settings.delays, settings.crossed, settings.rate_limits, settings.bandwidths, settings.ranges, dt
+            settings.delays,
+            settings.crossed,
+            settings.rate_limits,
+            settings.bandwidths,
+            settings.q_uncommanded > 0.0,
+            settings.ranges,
+            dt,
         )
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
         """Row of the first agile filter."""
         self._limited = self._agile - N_ACTION * settings.ranges
         """Row of the first filter that looks for a range."""
+        self._moving = self._limited - N_ACTION * (settings.q_uncommanded > 0.0)
+        """Row of the first filter in which a surface moves by itself."""
         self.filter = RateFilters(model, self._agile + N_ACTION, dt)
         self._inputs = Inputs(self.hypotheses, command_lag, dt)
         self._u, self._known = np.zeros((2, self._agile + N_ACTION, N_ACTION))
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
         self.ranges = Ranges(self.filter, self._limited) if settings.ranges else None
+        self._own = Uncommanded(self.filter, self._moving, self._agile, dt) if settings.q_uncommanded else None
         self._dt = dt
-        self._noise = ProcessNoise(settings, self._agile, self._agile - self._limited, dt)
+        self._q_gust = settings.q_gust**2
+        self._noise = ProcessNoise(settings, self._moving, self._limited, self._agile, dt)
         self._believed_before = np.ones(N_ACTION)
         self.alarm = Alarm(settings, dt)
         self._opening, self._past = Opening(settings, dt), Recollection(settings, dt)
-        self.evidence = Evidence(self._agile, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
+        odds = [0.0 if each.uncommanded is None else Uncommanded.ODDS for each in self.hypotheses]
+        self.evidence = Evidence(odds, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
         self.stuck = Stuck(dt)
         self.increment = np.zeros(RATES)
@@ -76,7 +91,6 @@ class Effectiveness:
         """Start a new flight: a healthy aircraft, nothing counted."""
         self._start_anew(self.settings.effectiveness_sd)
         self._noise.opened = False
-        self.filter.q_gust = 0.0  # a filter that is sure of its surfaces takes no gust for one
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
@@ -84,6 +98,8 @@ class Effectiveness:
         self.alarm.clear()
         self.alarms = self.restarts = 0
         self._opening.reset()
+        self._refuted = False
+        """Whether what an alarm was raised for is that no surface moves by itself as far as was believed."""
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -103,6 +119,8 @@ class Effectiveness:
         self.filter.s[:] = 0.0
         self.filter.s[:, LAMBDA] = 1.0
         self._spread(effectiveness_sd)
+        if self._own:
+            self._own.rest(np.ones(N_ACTION))
         if self.ranges:
             self.ranges.reset()
 
@@ -118,18 +136,22 @@ class Effectiveness:
     def effectiveness(self) -> np.ndarray:
         """Return lambda (3,): signed effectiveness of elevator, aileron, rudder, as the believed filter has it."""
         found = self.filter.s[self.evidence.believed, LAMBDA]
-        surface = self.limited
-        if surface is not None and self.ranges:
+        limited, moving = self.limited, self.uncommanded
+        if limited is not None and self.ranges:
             found = found.copy()
-            found[surface] = self.ranges.of[surface].effectiveness
+            found[limited] = self.ranges.of[limited].effectiveness
+        elif moving is not None and self._own:
+            found = found.copy()
+            found[moving] = self._own.effectiveness[moving]
         return found
 
     @property
     def sd(self) -> np.ndarray:
         """Return the standard deviations of lambda (3,)."""
         sd = np.sqrt(self.filter.variances[self.evidence.believed, LAMBDA])
-        if self.limited is not None:
-            sd[self.limited] = self.settings.effectiveness_sd
+        for surface in (self.limited, self.uncommanded):
+            if surface is not None:
+                sd[surface] = self.settings.effectiveness_sd
         return sd
 
     @property
@@ -172,6 +194,11 @@ class Effectiveness:
     def limited(self) -> int | None:
         """Return the surface that is believed to have lost some of its range, or None."""
         return self.hypotheses[self.evidence.believed].limited
+
+    @property
+    def uncommanded(self) -> int | None:
+        """Return the surface that is believed to move besides by itself, or None."""
+        return self.hypotheses[self.evidence.believed].uncommanded
 
     @property
     def short(self) -> bool:
@@ -232,6 +259,8 @@ class Effectiveness:
             if f.update(w):
                 if self.ranges:
                     self.ranges.learn(self._inputs.u[0].tolist())
+                if self._own:
+                    self._own.learn()
                 self._weigh()
                 self._judge(w)
                 self._believe()
@@ -311,11 +340,16 @@ class Effectiveness:
             self.ranges.deflect(u[0].tolist(), self._u[rows], self._known[rows], self.limited, followers)
             for surface, acting in enumerate(self.ranges.acting):
                 u[self._limited + surface, surface] = acting
+        if self._own:
+            rows = slice(self._moving, self._limited)
+            self._own.deflect(u[0], self._u[rows], self._known[rows], self.uncommanded)
         self._u[self._agile :], self._known[self._agile :] = self._u[believed], self._known[believed]
+        if self._q_gust:
+            f.q_gust = self._q_gust if self._noise.opened or max(self.sd[ACTION.da :]) > self.DOUBT else 0.0
         f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u, self._known)
         self._low_passed = washout(self._low_passed, r, self._dt)
         alpha, lacking = x[STATE.alpha], self.stuck.signals[RATES:]
-        self._noise.fill(f.q, levels, f.drift_step.tolist(), alpha, self._opening.calm, lacking)
+        self._noise.fill(f.q, levels, f.drift_step.tolist(), alpha, self._opening.calm, lacking, self.uncommanded)
         f.predict()
 
     def _model_increment(self) -> None:
@@ -342,15 +376,21 @@ class Effectiveness:
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
         if not self.unrest.known or self._opening.pending:
             alarm.clear()
-        elif evidence.weigh(self._told(), self._opening.under_way):
+        elif evidence.weigh(self._told(), self._opening.under_way and self.uncommanded is None):
             self.alarmed = True
             alarm.clear()
             np.copyto(self.believed, self.effectiveness)
             f.s[agile:], f.P[agile:] = f.s[evidence.believed], f.P[evidence.believed]
 
     def _told(self) -> list[float]:
-        """Return the log-likelihood of each hypothesis; a range without an end says what the first one says."""
-        told = self.filter.log_likelihood[: self._agile]
+        """Return the log-likelihood of each hypothesis; a range without an end says what the first one says.
+
+        That a surface moves by itself is heard while the filters are open, and not in rough air: gusts move so too.
+        """
+        told, levels = self.filter.log_likelihood[: self._agile], self.unrest.levels
+        for i, axis in zip(range(self._moving, self._limited), AXIS, strict=False):
+            if i != self.evidence.believed and not (self._noise.opened and levels[axis] < Uncommanded.ROUGH):
+                told[i] = -math.inf
         if self.ranges:
             for i, each in enumerate(self.ranges.of, self._limited):
                 if not each.limited:
@@ -364,6 +404,8 @@ class Effectiveness:
             zip(f.s[i, LAMBDA].tolist(), f.variances[i, LAMBDA].tolist(), strict=True)
         ):
             if self.stuck.any and self.stuck.blind[AXIS[surface]]:
+                continue
+            if surface == self.uncommanded:
                 continue
             if self.ranges and surface == self.limited:
                 self.believed[surface] = self.ranges.of[surface].effectiveness
@@ -386,8 +428,11 @@ class Effectiveness:
                     f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
             if self.ranges:
                 self._look_for_ranges(self.ranges)
+            if self._own:
+                self._own.open(self._past.long_ago[LAMBDA])
             self._noise.opened = True
-            f.q_gust = settings.q_gust**2
+            if self._refuted:
+                self.evidence.believed, self._refuted = 0, False
             self.evidence.forget()
         elif opening.closes:
             self._noise.opened = False
@@ -397,18 +442,22 @@ class Effectiveness:
             self._start_anew(settings.effectiveness_sd)
             self.believed[:] = 1.0
             f.s[:, W] = w
-        if opening.closed and self.unrest.known:
+        if opening.closed and self.unrest.known and self.uncommanded is None:
             alarm.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
         else:
             alarm.shift.restart(self.bias.tolist())
-        if alarm.sounds(explained, self.unrest.levels) and self.unrest.known and opening.may_begin:
+        refuted = self._own is not None and self._own.refuted(self.uncommanded)
+        sounds = alarm.sounds(explained, self.unrest.levels) or refuted
+        if sounds and self.unrest.known and opening.may_begin:
             self.alarmed = True
             self.alarms += 1
             alarm.clear()
             opening.begin()
+            self._refuted = refuted
             self._past.recall(self._states)
             np.copyto(self._believed_before, self.believed)
-        self._past.keep(self._states, f.s[self.evidence.believed], self.effectiveness)
+        moving = self.uncommanded is not None
+        self._past.keep(self._states, f.s[self.evidence.believed], self.effectiveness, moving)
 
     def _look_for_ranges(self, ranges: Ranges) -> None:
         """Open the filters that look for a range: nothing but it has changed."""
@@ -443,6 +492,8 @@ class Effectiveness:
         else:
             f.s[:] = self._past.before(self._states)
         f.s[:, W] = now
+        if self._own:
+            self._own.rest(self._own.effectiveness)
         if self.ranges:
             self.ranges.restore()
         self.alarm.forget_surprise()

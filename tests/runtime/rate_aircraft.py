@@ -32,6 +32,7 @@ class Aircraft:
         self.tick, self.delay, self.order = 0, 0, [0, 1, 2]
         self.attitude, self.stuck = np.zeros(3), {}
         self.rate, self.share, self.acting = np.inf, 1.0, np.zeros(3)
+        self.swing, self.hz = np.zeros(3), 1.0
         self.low, self.high = np.full(3, -np.inf), np.full(3, np.inf)
 
     def read(self):
@@ -53,7 +54,7 @@ class Aircraft:
         qbar = dynamic_pressure(90.0, 2000.0)
         phi = np.array(features(*self.w, 90.0, 0.05, 0.0, 0.0, qbar))
         terms = np.array(effect_terms(90.0, 0.05, qbar))
-        acceleration = phi @ DRIFT + np.einsum("t,jta,j->a", terms, EFFECT, self.effect * acting)
+        acceleration = phi @ DRIFT + np.einsum("t,jta,j->a", terms, EFFECT, self.effect * (acting + self.moved()))
         self.w = self.w + DT * acceleration
         p, q, r = self.w
         phi, theta, _ = self.attitude
@@ -63,6 +64,10 @@ class Aircraft:
         )
         self.sent = [*self.sent[-20:], u]
         self.tick += 1
+
+    def moved(self):
+        """What the surfaces add to their commands: an oscillation of amplitude ``swing`` (3,) [rad] and ``hz``."""
+        return self.swing * math.sin(2.0 * math.pi * self.hz * self.tick * DT)
 
     def lag(self, hz):
         """Let every surface follow by a first-order lag of this corner frequency [Hz]."""

@@ -69,7 +69,7 @@ def test_the_evidence_is_the_posterior_of_a_bank_of_models():
         kf.F = kf.H = np.eye(1)
         kf.B = np.array([[drift]])
         bank.append(kf)
-    estimator, evidence = MMAEFilterBank(bank, [1 / 3] * 3, 1, H=np.eye(1)), Evidence(3, 1.0, 1e9, 1e9)
+    estimator, evidence = MMAEFilterBank(bank, [1 / 3] * 3, 1, H=np.eye(1)), Evidence([0.0] * 3, 1.0, 1e9, 1e9)
     for k in range(60):
         for kf in bank:
             kf.predict(u=np.ones(1))
@@ -84,7 +84,7 @@ def test_the_evidence_is_the_posterior_of_a_bank_of_models():
 
 
 def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sample_decides():
-    evidence = Evidence(3, 1.0, 10.0, 10.0)
+    evidence = Evidence([0.0] * 3, 1.0, 10.0, 10.0)
     assert not evidence.weigh([0.0, 0.0, 1e6])
     assert evidence.behind == [1.0, 1.0, 0.0]
     told = [evidence.weigh([0.0, 0.0, 4.0]) for _ in range(12)]

@@ -105,7 +105,7 @@ def test_a_gust_from_the_side_is_no_rudder_that_fails():
     assert what_a_gust_is_taken_for(0.0) < 0.5
 
 
-def test_until_an_alarm_nobody_allows_for_gusts():
+def test_gusts_are_allowed_for_while_a_surface_is_in_doubt():
     drift = MODEL.drift.copy()
     drift[SIDESLIP.start] = -2e-3, 0.0, 6e-4
     gusts = msgspec.structs.replace(SETTINGS, q_gust=8e-4)
@@ -114,13 +114,19 @@ def test_until_an_alarm_nobody_allows_for_gusts():
         aircraft, filters = Aircraft(noise=6.3e-4), Effectiveness(settings, MODEL._replace(drift=drift), 1)
         watch(filters, aircraft, 500)
         found.append(filters)
-    plain, doubting = found
-    np.testing.assert_array_equal(plain.filter.P, doubting.filter.P)
+    plain, allowing = found
+    np.testing.assert_array_equal(plain.filter.P, allowing.filter.P)
+
+    busy = aircraft.command
     aircraft.effect = np.array([-1.0, 1.0, 1.0])
-    assert watch(doubting, aircraft, 300)
-    assert doubting.filter.q_gust == 8e-4**2
-    doubting.reset()
-    assert doubting.filter.q_gust == 0.0
+    aircraft.command = lambda: busy() * np.array([1.0, 1.0, 0.01])
+    assert watch(allowing, aircraft, 300)
+    assert allowing.sd[2] > Effectiveness.DOUBT
+    assert allowing.filter.q_gust == 8e-4**2
+    aircraft.command = busy
+    watch(allowing, aircraft, 300)
+    assert allowing.sd.max() < Effectiveness.DOUBT
+    assert allowing.filter.q_gust == 0.0
 
 
 def test_a_second_reversal_is_found_as_well():

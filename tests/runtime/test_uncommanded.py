@@ -1,0 +1,96 @@
+"""Surfaces that move besides by themselves."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from runtime.hypotheses import hypotheses
+from runtime.structured import Effectiveness
+from runtime.uncommanded import PLACES, UNIT
+from task.limits import DT
+from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
+
+OSCILLATING = replace(SETTINGS, q_uncommanded=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize(("surface", "hz"), [(0, 1.0), (1, 1.5), (2, 0.5)])
+def test_a_surface_that_oscillates_works_as_it_did(noise, surface, hz):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    aircraft.effect[surface] = 0.7
+    watch(found, aircraft, 500)
+    before = found.believed.copy()
+    aircraft.swing[surface], aircraft.hz = 0.035, hz
+    watch(found, aircraft, 150)
+    assert found.uncommanded == surface
+    of = []
+    for _ in range(round(1.0 / (hz * DT))):
+        of.append((UNIT * found.filter.s[found.evidence.believed, PLACES[surface]], aircraft.moved()[surface]))
+        watch(found, aircraft, 1)
+    motion, true = (np.array(of) - np.mean(of, axis=0)).T  # a constant part may as well be the bias
+    assert np.corrcoef(motion, true)[0, 1] > 0.97
+    assert np.ptp(motion) == pytest.approx(np.ptp(true), rel=0.25)
+    np.testing.assert_allclose(found.believed, before, atol=0.15)
+    np.testing.assert_allclose(found.effectiveness, before, atol=0.2)
+    assert found.delay_samples == 0
+    # Nothing surprises any more, and what surfaces do is still found.
+    assert watch(found, aircraft, 500) == []
+    other = (surface + 1) % 3
+    aircraft.effect[other] = -1.0
+    assert watch(found, aircraft, 100)
+    assert found.believed[other] == pytest.approx(-1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+def test_a_surface_that_oscillated_and_works_backwards_is_found_to(noise):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.swing[1], aircraft.hz = 0.035, 1.3
+    watch(found, aircraft, 300)
+    assert found.uncommanded == 1
+    aircraft.swing[1] = 0.0
+    watch(found, aircraft, 300)
+    gentle = aircraft.command
+    aircraft.command = lambda: 3.0 * gentle()
+    aircraft.effect[1] = -1.0
+    assert watch(found, aircraft, 100)
+    watch(found, aircraft, 50)
+    assert found.uncommanded is None
+    assert found.believed[1] == pytest.approx(-1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -0.3, 1.0), (0.3, 1.0, 1.0), (-1.0, -1.0, 1.0)])
+def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_moves_by_itself(noise, effect):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.effect = np.array(effect)
+    for _ in range(30):
+        watch(found, aircraft, 10)
+        assert found.uncommanded is None
+    np.testing.assert_allclose(found.believed, effect, atol=0.3)
+
+
+def test_what_turbulence_does_is_no_surface_that_moves():
+    aircraft, found = Aircraft(noise=1e-4), Effectiveness(OSCILLATING, MODEL, 1)
+    rng, step, gust = np.random.default_rng(2), aircraft.step, np.zeros(3)
+
+    def shaken(u):
+        step(u)
+        gust[:] += 0.02 * (3.0 * rng.standard_normal(3) * (1.0, 0.1, 0.1) - gust)
+        aircraft.w = aircraft.w + DT * gust
+
+    aircraft.step = shaken
+    for _ in range(40):
+        watch(found, aircraft, 50)
+        assert found.uncommanded is None
+
+
+def test_they_are_looked_for_on_request_only():
+    names = [h.uncommanded for h in hypotheses((0.05,), True, (0.1,), (), True, True, DT)]
+    assert names == [None] * 4 + [0, 1, 2] + [None] * 3
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.swing[0] = 0.05
+    assert len(watch(found, aircraft, 500)) > 2
+    assert found.uncommanded is None
