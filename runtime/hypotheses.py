@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from runtime.config import Adaptation
 from task.actuators import ACTUATOR, HEALTHY, limited
 from task.state import ACTION, N_ACTION
 
@@ -37,27 +38,22 @@ class Hypothesis(NamedTuple):
     """The surface whose range is to be found (:mod:`runtime.ranges`)."""
 
 
-def hypotheses(
-    delays: tuple[float, ...],
-    crossed: bool,
-    rates: tuple[float, ...],
-    bandwidths: tuple[float, ...],
-    uncommanded: bool,
-    ranges: bool,
-    dt: float,
-) -> tuple[Hypothesis, ...]:
-    """Return the healthy one first, then each delay [s], crossed aileron and rudder, rate limits [rad/s], lags [Hz].
+def hypotheses(settings: Adaptation, dt: float) -> tuple[Hypothesis, ...]:
+    """Return the healthy one first, then each delay, crossed aileron and rudder, each rate limit and each lag.
 
-    ``uncommanded``, ``ranges``: whether one in which a surface moves by itself, and one in which its range is limited,
-    follow for each of elevator, aileron and rudder.
+    Then, where they are asked for, for each of elevator, aileron and rudder one in which it moves by itself, and one in
+    which its range is limited.
     """
-    late = sorted({round(delay / dt) for delay in delays} - {0})
+    late = sorted({round(delay / dt) for delay in settings.delays} - {0})
     straight = tuple(Hypothesis(delay, STRAIGHT) for delay in (0, *late))
-    slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(rates), reverse=True))
-    slow += tuple(Hypothesis(0, STRAIGHT, bandwidth=hz) for hz in sorted(set(bandwidths), reverse=True))
-    moving = tuple(Hypothesis(0, STRAIGHT, uncommanded=surface) for surface in STRAIGHT) * uncommanded
-    limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * ranges
-    return straight + (Hypothesis(0, CROSSED),) * crossed + slow + moving + limited
+    crossed = (Hypothesis(0, CROSSED),) * settings.crossed
+    slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(settings.rate_limits), reverse=True))
+    slow += tuple(Hypothesis(0, STRAIGHT, bandwidth=hz) for hz in sorted(set(settings.bandwidths), reverse=True))
+    moving = tuple(Hypothesis(0, STRAIGHT, uncommanded=surface) for surface in STRAIGHT) * (
+        settings.q_uncommanded > 0.0
+    )
+    limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * settings.ranges
+    return straight + crossed + slow + moving + limited
 
 
 def actuators(choice: Hypothesis) -> np.ndarray:

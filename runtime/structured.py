@@ -48,15 +48,7 @@ class Effectiveness:
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
-        self.hypotheses = hypotheses(
-            settings.delays,
-            settings.crossed,
-            settings.rate_limits,
-            settings.bandwidths,
-            settings.q_uncommanded > 0.0,
-            settings.ranges,
-            dt,
-        )
+        self.hypotheses = hypotheses(settings, dt)
         """What may have become of the commands; the healthy one first."""
         self._agile = len(self.hypotheses)
         """Row of the first agile filter."""
@@ -69,7 +61,7 @@ class Effectiveness:
         self._u, self._known = np.zeros((2, self._agile + N_ACTION, N_ACTION))
         """What each filter multiplies lambda with, and what it knows of the deflections besides [rad]."""
         self.ranges = Ranges(self.filter, self._limited) if settings.ranges else None
-        self._own = Uncommanded(self.filter, self._moving, self._agile, dt) if settings.q_uncommanded else None
+        self._motions = Uncommanded(self.filter, self._moving, self._agile, dt) if settings.q_uncommanded else None
         self._dt = dt
         self._q_gust = settings.q_gust**2
         self._noise = ProcessNoise(settings, self._moving, self._limited, self._agile, dt)
@@ -119,8 +111,8 @@ class Effectiveness:
         self.filter.s[:] = 0.0
         self.filter.s[:, LAMBDA] = 1.0
         self._spread(effectiveness_sd)
-        if self._own:
-            self._own.rest(np.ones(N_ACTION))
+        if self._motions:
+            self._motions.rest(np.ones(N_ACTION))
         if self.ranges:
             self.ranges.reset()
 
@@ -140,9 +132,9 @@ class Effectiveness:
         if limited is not None and self.ranges:
             found = found.copy()
             found[limited] = self.ranges.of[limited].effectiveness
-        elif moving is not None and self._own:
+        elif moving is not None and self._motions:
             found = found.copy()
-            found[moving] = self._own.effectiveness[moving]
+            found[moving] = self._motions.effectiveness[moving]
         return found
 
     @property
@@ -259,8 +251,8 @@ class Effectiveness:
             if f.update(w):
                 if self.ranges:
                     self.ranges.learn(self._inputs.u[0].tolist())
-                if self._own:
-                    self._own.learn()
+                if self._motions:
+                    self._motions.learn()
                 self._weigh()
                 self._judge(w)
                 self._believe()
@@ -340,9 +332,9 @@ class Effectiveness:
             self.ranges.deflect(u[0].tolist(), self._u[rows], self._known[rows], self.limited, followers)
             for surface, acting in enumerate(self.ranges.acting):
                 u[self._limited + surface, surface] = acting
-        if self._own:
+        if self._motions:
             rows = slice(self._moving, self._limited)
-            self._own.deflect(u[0], self._u[rows], self._known[rows], self.uncommanded)
+            self._motions.deflect(u[0], self._u[rows], self._known[rows], self.uncommanded)
         self._u[self._agile :], self._known[self._agile :] = self._u[believed], self._known[believed]
         if self._q_gust:
             f.q_gust = self._q_gust if self._noise.opened or max(self.sd[ACTION.da :]) > self.DOUBT else 0.0
@@ -428,8 +420,8 @@ class Effectiveness:
                     f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
             if self.ranges:
                 self._look_for_ranges(self.ranges)
-            if self._own:
-                self._own.open(self._past.long_ago[LAMBDA])
+            if self._motions:
+                self._motions.open(self._past.long_ago[LAMBDA])
             self._noise.opened = True
             if self._refuted:
                 self.evidence.believed, self._refuted = 0, False
@@ -446,7 +438,7 @@ class Effectiveness:
             alarm.shift.learn(self.bias.tolist(), self.unrest.levels, self.stuck.blind)
         else:
             alarm.shift.restart(self.bias.tolist())
-        refuted = self._own is not None and self._own.refuted(self.uncommanded)
+        refuted = self._motions is not None and self._motions.refuted(self.uncommanded)
         sounds = alarm.sounds(explained, self.unrest.levels) or refuted
         if sounds and self.unrest.known and opening.may_begin:
             self.alarmed = True
@@ -492,8 +484,8 @@ class Effectiveness:
         else:
             f.s[:] = self._past.before(self._states)
         f.s[:, W] = now
-        if self._own:
-            self._own.rest(self._own.effectiveness)
+        if self._motions:
+            self._motions.rest(self._motions.effectiveness)
         if self.ranges:
             self.ranges.restore()
         self.alarm.forget_surprise()

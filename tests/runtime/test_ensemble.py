@@ -8,7 +8,7 @@ from pyulog import ULog
 
 from runtime.config import Adaptation
 from runtime.ensemble import Ensemble
-from runtime.hypotheses import CROSSED, STRAIGHT
+from runtime.hypotheses import CROSSED, STRAIGHT, hypotheses
 from runtime.identification import IncrementalModel
 from runtime.laws.catalogue import LAWS, load_settings, make_law
 from runtime.loop import Outcome
@@ -27,7 +27,7 @@ from task.metrics import nmae
 from task.observation import tracking_error
 from task.reference import base_reference, random_reference
 from task.reward import REWARD_SCALE, terminated
-from task.state import N_IDENTIFIED, REFERENCE, STATE
+from task.state import ACTION, N_IDENTIFIED, REFERENCE, STATE
 
 ROWS = base_reference(40.0, 0.056)
 CITATION = Path(__file__).parents[2] / "populations" / "citation"
@@ -329,9 +329,8 @@ def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(cita
     link, log = plant_link(2400, stop), tmp_path / "f.ulg"
     assert fly_rows(link, citation, log).outcome is Outcome.OVER
     found = topic(log, "effectiveness")
-    settings = resolve("ensemble").adaptation
-    ranges = len(settings.delays) + 2 + len(settings.rate_limits) + len(settings.bandwidths)
-    assert found["hypothesis"][-1] == ranges
+    choices = hypotheses(resolve("ensemble").adaptation, DT)
+    assert choices[found["hypothesis"][-1]].limited == ACTION.de
     assert (found["delay"][500:] == 0).all()
     plain, other = plant_link(2400, stop), tmp_path / "g.ulg"
     assert fly_rows(plain, citation, other, "ranges=false").outcome is Outcome.OVER

@@ -12,9 +12,12 @@ from task.limits import DEFLECTION_LIMIT, DT
 from task.scheduling import Condition
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
+NOTHING = replace(SETTINGS, delays=(), crossed=False, rate_limits=(), ranges=False)
+"""Commands in time alone."""
+
 
 def test_inputs_are_the_commands_of_each_hypothesis():
-    choices = hypotheses((0.02, 0.05), True, (50.0, 25.0), (), False, False, DT)
+    choices = hypotheses(replace(SETTINGS, delays=(0.02, 0.05), rate_limits=(50.0, 25.0), ranges=False), DT)
     healthy = [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
     assert [(c.delay, c.order) for c in choices] == [*healthy, (0, STRAIGHT), (0, STRAIGHT)]
     assert [c.rate for c in choices] == [np.inf] * 4 + [50.0, 25.0]
@@ -28,7 +31,7 @@ def test_inputs_are_the_commands_of_each_hypothesis():
 
 
 def test_slow_surfaces_follow_their_commands_and_stop_at_the_range_of_the_task():
-    inputs, dt = Inputs(hypotheses((), False, (2.0, 1.0), (), False, False, DT), command_lag=1, dt=DT), DT
+    inputs, dt = Inputs(hypotheses(replace(NOTHING, rate_limits=(2.0, 1.0)), DT), command_lag=1, dt=DT), DT
     for asked in (0.0, 0.1, 0.1, 0.1, 0.1, -0.5):
         inputs.send(np.full(3, asked))
     fast, slow = inputs.followed(1), inputs.followed(2)
@@ -57,7 +60,8 @@ def test_late_commands_are_found_and_their_end_too(noise, samples):
 
 
 def test_lagging_surfaces_follow_by_a_first_order_lag_and_stop_at_the_range_of_the_task():
-    inputs, share = Inputs(hypotheses((), False, (), (2.0, 1.0), False, False, DT), 1, DT), -np.expm1(-2.0 * np.pi * DT)
+    choices, share = hypotheses(replace(NOTHING, bandwidths=(2.0, 1.0)), DT), -np.expm1(-2.0 * np.pi * DT)
+    inputs = Inputs(choices, 1, DT)
     for asked in (0.0, 0.1, 0.1, 0.1):
         inputs.send(np.full(3, asked))
     np.testing.assert_allclose(inputs.followed(2)[:, 0], [0.1 * (1 - (1 - share) ** n) for n in (2, 3)])

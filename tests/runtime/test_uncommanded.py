@@ -87,7 +87,7 @@ def test_what_turbulence_does_is_no_surface_that_moves():
 
 
 def test_they_are_looked_for_on_request_only():
-    names = [h.uncommanded for h in hypotheses((0.05,), True, (0.1,), (), True, True, DT)]
+    names = [h.uncommanded for h in hypotheses(replace(OSCILLATING, delays=(0.05,), rate_limits=(0.1,)), DT)]
     assert names == [None] * 4 + [0, 1, 2] + [None] * 3
     aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
     watch(found, aircraft, 500)
