@@ -136,7 +136,7 @@ def learning() -> list[Piece]:
 
 
 def estimating(population: Population) -> list[Piece]:
-    """Return the bank of Kalman filters beside one of filterpy's, and the estimator with and without ranges."""
+    """Return the bank of Kalman filters beside one of filterpy's, and the estimator with fewer and more hypotheses."""
     settings, rates = resolve("structured").adaptation, population.rates
     if rates is None:
         raise UserError(f"{population.name}: expected a population with a rate model; export it again")
@@ -171,10 +171,12 @@ def estimating(population: Population) -> list[Piece]:
         return sample
 
     plain = Effectiveness(replace(settings, ranges=False), rates, population.command_lag)
+    most = Effectiveness(resolve("ensemble").adaptation, rates, population.command_lag)
     return [
         Piece(f"{size} Kalman filters, 11 states", ours, filterpy, "filterpy, one by one"),
         Piece("signed effectiveness, all of it", estimator(found)),
         Piece("signed effectiveness, no ranges", estimator(plain)),
+        Piece("signed effectiveness, as in ensemble: lag, uncommanded motion, gusts", estimator(most)),
     ]
 
 

@@ -342,6 +342,24 @@ def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(cita
     assert found["alarms"][-1] < topic(other, "effectiveness")["alarms"][-1]
 
 
+def test_an_aileron_that_oscillates_is_known_and_not_taken_for_one_that_works_otherwise(citation, plant_link, tmp_path):
+    def swing(tick, action):
+        return action + np.array([0.0, np.radians(3.0) * np.sin(2.0 * np.pi * (tick - 500) * DT), 0.0]) * (tick >= 500)
+
+    found = {}
+    for name, overrides in {"as it is": (), "without": ("q_uncommanded=0",)}.items():
+        link, log = plant_link(2000, swing), tmp_path / f"{name}.ulg"
+        assert fly_rows(link, citation, log, *overrides).outcome is Outcome.OVER
+        found[name] = topic(log, "effectiveness")
+    choices, known = hypotheses(resolve("ensemble").adaptation, DT), found["as it is"]
+    assert {choices[i].uncommanded for i in known["hypothesis"][600:]} == {ACTION.da}
+    assert np.ptp(known["lambda_da"][600:]) == 0.0
+    assert 0 < known["alarms"][-1] <= 2
+    others = found["without"]
+    assert others["alarms"][-1] > 5
+    assert np.ptp(others["lambda_da"][600:]) > 0.5
+
+
 def test_who_flies_reads_filtered_rates_where_a_gyro_is_stuck(citation, plant_link, tmp_path):
     def error(stuck, *overrides):
         held = []
