@@ -171,12 +171,16 @@ def estimating(population: Population) -> list[Piece]:
         return sample
 
     plain = Effectiveness(replace(settings, ranges=False), rates, population.command_lag)
-    most = Effectiveness(resolve("ensemble").adaptation, rates, population.command_lag)
+    preset = resolve("ensemble").adaptation
+    most, resting = (
+        Effectiveness(each, rates, population.command_lag) for each in (preset, replace(preset, q_uncommanded=0.0))
+    )
     return [
         Piece(f"{size} Kalman filters, 11 states", ours, filterpy, "filterpy, one by one"),
         Piece("signed effectiveness, all of it", estimator(found)),
         Piece("signed effectiveness, no ranges", estimator(plain)),
         Piece("signed effectiveness, as in ensemble: lag, uncommanded motion, gusts", estimator(most)),
+        Piece("signed effectiveness, as in ensemble, no uncommanded motion", estimator(resting)),
     ]
 
 

@@ -49,9 +49,7 @@ def hypotheses(settings: Adaptation, dt: float) -> tuple[Hypothesis, ...]:
     crossed = (Hypothesis(0, CROSSED),) * settings.crossed
     slow = tuple(Hypothesis(0, STRAIGHT, rate) for rate in sorted(set(settings.rate_limits), reverse=True))
     slow += tuple(Hypothesis(0, STRAIGHT, bandwidth=hz) for hz in sorted(set(settings.bandwidths), reverse=True))
-    moving = tuple(Hypothesis(0, STRAIGHT, uncommanded=surface) for surface in STRAIGHT) * (
-        settings.q_uncommanded > 0.0
-    )
+    moving = tuple(Hypothesis(0, STRAIGHT, uncommanded=surface) for surface in STRAIGHT if settings.q_uncommanded)
     limited = tuple(Hypothesis(0, STRAIGHT, limited=surface) for surface in STRAIGHT) * settings.ranges
     return straight + crossed + slow + moving + limited
 

@@ -165,6 +165,12 @@ class Ranges:
             if each.reach[LOW] > each.reach[HIGH]:
                 each.reach[1 - each.end] = at
 
+    def hear(self, told: list[float]) -> None:
+        """Let, in the log-likelihoods of all hypotheses, a range without an end say what the first one says."""
+        for row, each in enumerate(self.of, self._first):
+            if not each.limited:
+                told[row] = told[0]
+
     def restore(self) -> None:
         """Write the ends into the filters again, whose states were taken back."""
         self.close()

@@ -31,8 +31,6 @@ W, LAMBDA, B, SLOPES = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 11)
 """Where rates, effectiveness, bias and slopes lie among them."""
 ALPHA_MID = 0.05
 """Angle of attack about which a change of the pitching moment's slope turns [rad]: it adds little to the bias there."""
-
-
 MOTION = N - 1
 """Where a filter in which a surface moves by itself has how fast that is, instead of the second slope."""
 

@@ -375,18 +375,13 @@ class Effectiveness:
             f.s[agile:], f.P[agile:] = f.s[evidence.believed], f.P[evidence.believed]
 
     def _told(self) -> list[float]:
-        """Return the log-likelihood of each hypothesis; a range without an end says what the first one says.
-
-        That a surface moves by itself is heard while the filters are open, and not in rough air: gusts move so too.
-        """
-        told, levels = self.filter.log_likelihood[: self._agile], self.unrest.levels
-        for i, axis in zip(range(self._moving, self._limited), AXIS, strict=False):
-            if i != self.evidence.believed and not (self._noise.opened and levels[axis] < Uncommanded.ROUGH):
-                told[i] = -math.inf
+        """Return the log-likelihood of each hypothesis, as far as it has a say."""
+        told = self.filter.log_likelihood[: self._agile]
+        if self._motions:
+            levels = [self.unrest.levels[axis] for axis in AXIS]
+            self._motions.hear(told, self.uncommanded, levels if self._noise.opened else None)
         if self.ranges:
-            for i, each in enumerate(self.ranges.of, self._limited):
-                if not each.limited:
-                    told[i] = told[0]
+            self.ranges.hear(told)
         return told
 
     def _believe(self) -> None:

@@ -10,6 +10,8 @@ a surface that is late, slow or weak, and for each of them in turn.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from runtime.rate_filter import LAMBDA, MOTION, RateFilters
@@ -53,6 +55,16 @@ class Uncommanded:
         """Take what the filters have made of the measurement."""
         np.subtract(self._filters.s[self._rows, PLACES], self._mean, out=self._away)
         self._mean += self._gain * self._away
+
+    def hear(self, told: list[float], believed: int | None, levels: list[float] | None) -> None:
+        """Silence, in the log-likelihoods of all hypotheses, who has no say.
+
+        That a surface moves by itself is heard while the filters are open, and not in rough air: gusts move so too.
+        believed: the surface that is believed to; levels (3,): of turbulence on each surface's axis, None where closed.
+        """
+        for surface, row in enumerate(self._rows.tolist()):
+            if surface != believed and (levels is None or levels[surface] >= self.ROUGH):
+                told[row] = -math.inf
 
     def refuted(self, believed: int | None) -> bool:
         """Return whether the surface that is believed to move by itself, if any, would move too far."""

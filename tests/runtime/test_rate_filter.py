@@ -5,18 +5,20 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from runtime.hypotheses import Evidence
-from runtime.rate_filter import B, N, RateFilters
+from runtime.rate_filter import MOTION, B, N, RateFilters
 from task.rates import SIDESLIP, dynamic_pressure, features
 from tests.runtime.rate_aircraft import MODEL, state
 
 
-@pytest.mark.parametrize("q_gust", [0.0, 1e-4])
-def test_the_bank_is_filterpys_filters(q_gust):
+@pytest.mark.parametrize(("q_gust", "moving"), [(0.0, {}), (1e-4, {}), (0.0, {1: 4, 3: 5})])
+def test_the_bank_is_filterpys_filters(q_gust, moving):
+    """``moving``: the place that goes on as the last state says, by filter."""
     rng, size = np.random.default_rng(0), 4
     drift = MODEL.drift.copy()
     drift[SIDESLIP] = rng.normal(size=(5, 3)) * 1e-3
     ours = RateFilters(MODEL._replace(drift=drift), size)
     ours.q_gust = q_gust
+    ours.moving = (np.array(list(moving)), np.array(list(moving.values()))) if moving else None
     ours.s[:] = rng.normal(size=(size, N)) * 0.1
     ours.variances[:] = rng.uniform(1e-4, 1.0, (size, N))
     ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, N)), 1e-7
@@ -35,6 +37,9 @@ def test_the_bank_is_filterpys_filters(q_gust):
         for i, theirs in enumerate(bank):
             F = np.eye(N)
             F[:3] = ours.F_rates[i]
+            assert (F[2, MOTION] == 0.0) == (i in moving)
+            if i in moving:
+                F[moving[i], MOTION] = ours.dt
             theirs.Q[B, B] = np.diag(ours.q[i, B]) + Q
             theirs.predict(u=ours.drift_step, F=F)
             theirs.update(z)

@@ -5,6 +5,8 @@ import pytest
 from msgspec.structs import replace
 
 from runtime.hypotheses import hypotheses
+from runtime.opening import Recollection
+from runtime.rate_filter import MOTION, N
 from runtime.structured import Effectiveness
 from runtime.uncommanded import PLACES, UNIT
 from task.limits import DT
@@ -35,6 +37,7 @@ def test_a_surface_that_oscillates_works_as_it_did(noise, surface, hz):
     assert found.delay_samples == 0
     # Nothing surprises any more, and what surfaces do is still found.
     assert watch(found, aircraft, 500) == []
+    assert found.alarm.shift.size == 0.0  # how d and the bias share what lasts is no news
     other = (surface + 1) % 3
     aircraft.effect[other] = -1.0
     assert watch(found, aircraft, 100)
@@ -71,19 +74,34 @@ def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_moves_by_itsel
     np.testing.assert_allclose(found.believed, effect, atol=0.3)
 
 
-def test_what_turbulence_does_is_no_surface_that_moves():
-    aircraft, found = Aircraft(noise=1e-4), Effectiveness(OSCILLATING, MODEL, 1)
-    rng, step, gust = np.random.default_rng(2), aircraft.step, np.zeros(3)
+@pytest.mark.parametrize("elevator", [1.0, 0.3])
+def test_what_turbulence_does_is_no_surface_that_moves(elevator):
+    """Neither in quiet flight nor when another surface opens the filters: gusts go on as a motion does."""
+    aircraft, found = Aircraft(), Effectiveness(OSCILLATING, MODEL, 1)
+    rng, step, gust = np.random.default_rng(2), aircraft.step, np.zeros((2, 3))
 
     def shaken(u):
         step(u)
-        gust[:] += 0.02 * (3.0 * rng.standard_normal(3) * (1.0, 0.1, 0.1) - gust)
-        aircraft.w = aircraft.w + DT * gust
+        gust[0] += 0.05 * (10.0 * rng.standard_normal(3) * (1.0, 0.1, 0.1) - gust[0])
+        gust[1] += 0.05 * (gust[0] - gust[1])
+        aircraft.w = aircraft.w + DT * gust[1]
 
     aircraft.step = shaken
-    for _ in range(40):
-        watch(found, aircraft, 50)
+    watch(found, aircraft, 800)
+    aircraft.effect[0] = elevator
+    for _ in range(120):
+        watch(found, aircraft, 10)
         assert found.uncommanded is None
+    assert (found.alarms > 0) == (elevator < 1.0)
+
+
+def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
+    past, state = Recollection(OSCILLATING, DT), np.arange(1.0, N + 1.0)
+    for moving in (False, True):
+        past.keep(0, state, np.ones(3), moving)
+        past.recall(0)
+        expected = np.concatenate([state[:3], np.ones(3), state[6:MOTION], [0.0 if moving else state[MOTION]]])
+        np.testing.assert_array_equal(past.long_ago, expected)
 
 
 def test_they_are_looked_for_on_request_only():
