@@ -13,7 +13,7 @@ RUN        ?= runs/$(CONFIG)
 CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev fly campaign test lint train export cast study sweep verification aircraft chapter8 peers \
+.PHONY: help setup setup-dev fly scenarios campaign test lint train export cast study sweep verification aircraft chapter8 peers \
         decision results bench bench-train clean
 
 help: ## Show this help
@@ -37,6 +37,9 @@ setup-dev: $(VENV)/.dev ## Install everything: training, export, tests
 
 fly: setup ## Fly SCENARIO in all modes over MAVLink; table and report (ARGS=--realtime for wall clock)
 	$(BIN)/understudy fly $(SCENARIO) $(CAST) $(ARGS)
+
+scenarios: setup ## Fly every shipped scenario in its own modes, into results/ and docs/img/
+	$(BIN)/python -m scenarios.shipped --figures docs/img $(ARGS)
 
 campaign: setup-dev ## Faults x references x ways of adapting (QUICK=1: a few); resumes; into results/
 	$(BIN)/python -m scenarios.campaign $(if $(QUICK),--quick,--results results --figures docs/img) $(CAST) $(ARGS)

@@ -224,7 +224,8 @@ class INDI(Law):
         """Set the action that makes up for the missing acceleration (3,) [rad/s2].
 
         The rudder comes first, and what its limit takes away is not asked of elevator and aileron: a jammed rudder then
-        costs sideslip, and not bank as well.
+        costs sideslip, and not bank as well. Where one of those is at its limit, the rudder is asked anew, for the yaw
+        that is missing with what they really do: its part in a roll that does not come would be sideslip.
         """
         multipliers = self._multipliers
         B, row = self._airframe.effectiveness, self._inverse[ACTION.dr]
@@ -234,8 +235,11 @@ class INDI(Law):
         roll, pitch = missing[0] - B[0][ACTION.dr] * rudder, missing[1] - B[1][ACTION.dr] * rudder
         (a, b), (c, d) = B[0][: ACTION.dr], B[1][: ACTION.dr]
         determinant = a * d - b * c
-        self._limited(ACTION.de, (d * roll - b * pitch) / determinant, ratio, multipliers)
-        self._limited(ACTION.da, (a * pitch - c * roll) / determinant, ratio, multipliers)
+        elevator = self._limited(ACTION.de, (d * roll - b * pitch) / determinant, ratio, multipliers)
+        aileron = self._limited(ACTION.da, (a * pitch - c * roll) / determinant, ratio, multipliers)
+        if DEFLECTION_LIMIT in [abs(self._action[self._order[surface]]) for surface in (ACTION.de, ACTION.da)]:
+            yaw = missing[2] - B[2][ACTION.de] * elevator - B[2][ACTION.da] * aileron
+            self._limited(ACTION.dr, yaw / B[2][ACTION.dr], ratio, multipliers)
 
     def _limited(self, surface: int, increment: float, ratio: float, multipliers: list[float]) -> float:
         """Move a surface by what equals an increment [rad] at nominal effect; return what of it is within limits."""

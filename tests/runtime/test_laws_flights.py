@@ -11,6 +11,7 @@ from runtime.loop import Outcome
 from runtime.presets import resolve
 from runtime.reference import RecordedReference
 from runtime.session import Session
+from task.limits import DEFLECTION_LIMIT
 from task.metrics import nmae
 from task.observation import tracking_error
 from task.reference import base_reference
@@ -75,6 +76,18 @@ def test_a_jammed_rudder_costs_sideslip_and_neither_bank_nor_pitch(law, plant_li
     assert flown.outcome is Outcome.OVER
     assert np.degrees(np.abs(error(link)[:, 2]).mean()) > 3.0
     assert np.degrees(link.error(ROWS)).max() < 0.3
+
+
+@pytest.mark.parametrize("law", ["indi", "indi-rls-signfree"])
+def test_an_aileron_at_its_limit_costs_bank_and_no_sideslip(law, plant_link, tmp_path):
+    """The rudder's part in a roll that does not come would be a quarter of a degree of sideslip."""
+    link = plant_link(
+        len(ROWS), lambda tick, action: np.array([action[0], 0.0 if tick >= 1000 else action[1], action[2]])
+    )
+    (flown,) = fly(link, law, tmp_path / "f.ulg")
+    assert flown.outcome is Outcome.OVER
+    assert (np.abs(np.array(link.sent)[1000:, ACTION.da]) > DEFLECTION_LIMIT - 1e-9).mean() > 0.5
+    assert np.degrees(np.abs(error(link)[1000:, 2]).mean()) < 0.01
 
 
 @pytest.mark.parametrize("law", ["pid", "indi"])
