@@ -12,6 +12,7 @@ from runtime.laws.law import Law
 from runtime.population import BehaviouralPolicy
 from runtime.stuck import SIGNALS
 from runtime.switching import Cast
+from task.actuators import ACTUATOR
 from task.laws import LinearLaw
 from task.state import N_ACTION, STATE
 
@@ -64,7 +65,7 @@ class Ensemble:
         return self._action
 
     def _tell(self) -> None:
-        """Tell the laws what is believed of their commands, of the elevator and, after an alarm, of the surfaces."""
+        """Tell the laws what is believed of their commands, where surfaces end and, after an alarm, how they work."""
         found = self._model.effectiveness
         if found is None:
             return
@@ -72,10 +73,12 @@ class Ensemble:
         news = found.searching
         sure = sure_signs(found) if news or any(law.informed for law in self._laws) else None
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
+        ends = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
         seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
         for law in self._laws:
             law.match(believed.delay, believed.order, believed.rate)
             law.limit_alpha(highest, seen)
+            law.limit_range(*ends)
             if sure is not None:
                 law.inform(sure, news)
 

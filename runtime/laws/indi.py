@@ -13,7 +13,7 @@ from runtime.laws.law import Airframe, Law, Positive, Row
 from runtime.lowpass import LowPass
 from task.config import Settings
 from task.laws import N_MEMORY, N_SEEN, SEEN, LinearLaw
-from task.limits import DEFLECTION_LIMIT, DT
+from task.limits import ACTION_HIGH, ACTION_LOW, DEFLECTION_LIMIT, DT
 from task.state import ACTION, N_ACTION, REFERENCE, STATE
 
 _MOTION = [int(i) for i in (STATE.p, STATE.q, STATE.r, STATE.alpha, STATE.beta)]
@@ -58,6 +58,8 @@ class INDI(Law):
     or beyond the one that it is made with:
 
         q <= q_f - alpha_dot_f + PROTECTION (alpha_highest - alpha)
+
+    And it is told where surfaces end (:meth:`limit_range`), so that the others make up for what is not done.
     """
 
     REACH = 0.5
@@ -102,6 +104,11 @@ class INDI(Law):
         self._told: list[float | None] = [None] * N_ACTION
         """Effectiveness over nominal, where the law was told and goes by it [-]."""
         self._highest = self._alpha_limit = alpha_limit
+        self._low: Sequence[float] = ACTION_LOW.tolist()
+        self._high: Sequence[float] = ACTION_HIGH.tolist()
+        """Least and greatest deflection that each surface is believed to reach [rad]."""
+        self._falls_short = False
+        """Whether the aileron does not do what it is asked for."""
         self._samples = 0
 
     def reset(self) -> None:
@@ -110,6 +117,7 @@ class INDI(Law):
         self._commanded = False
         self._told = [None] * N_ACTION
         self._highest, self._rate = self._alpha_limit, math.inf
+        self._low, self._high, self._falls_short = ACTION_LOW.tolist(), ACTION_HIGH.tolist(), False
         self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
             self.estimate.reset()
@@ -154,6 +162,14 @@ class INDI(Law):
         be lowered without end.
         """
         self._highest = min(highest, self._alpha_limit) if seen else math.inf
+
+    def limit_range(self, low: Sequence[float], high: Sequence[float]) -> None:
+        """Take least and greatest deflection of each surface (3,) [rad], as they are believed.
+
+        Surfaces are asked for as much as ever, or nobody would learn of a range that comes back; but the others make up
+        for what they really do.
+        """
+        self._low, self._high = low, high
 
     @property
     def informed(self) -> bool:
@@ -237,7 +253,8 @@ class INDI(Law):
         determinant = a * d - b * c
         elevator = self._limited(ACTION.de, (d * roll - b * pitch) / determinant, ratio, multipliers)
         aileron = self._limited(ACTION.da, (a * pitch - c * roll) / determinant, ratio, multipliers)
-        if DEFLECTION_LIMIT in [abs(self._action[self._order[surface]]) for surface in (ACTION.de, ACTION.da)]:
+        self._falls_short = self._ends(ACTION.da)
+        if self._falls_short or self._ends(ACTION.de):
             yaw = missing[2] - B[2][ACTION.de] * elevator - B[2][ACTION.da] * aileron
             self._limited(ACTION.dr, yaw / B[2][ACTION.dr], ratio, multipliers)
 
@@ -247,7 +264,12 @@ class INDI(Law):
         now = float(self._start[MOTIONS + surface] + self._signal[MOTIONS + surface])
         u = min(max(now + increment / scale, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
         self._action[self._order[surface]] = u
-        return (u - now) * scale
+        return (min(max(u, self._low[surface]), self._high[surface]) - now) * scale
+
+    def _ends(self, surface: int) -> bool:
+        """Return whether a surface is asked for all that it can do, or for more."""
+        u = self._action[self._order[surface]]
+        return not max(self._low[surface], -DEFLECTION_LIMIT) < u < min(self._high[surface], DEFLECTION_LIMIT)
 
     def _begin(self, x: np.ndarray, ratio: float) -> np.ndarray:
         """Start the filter at a state, and return the command that goes on: the last one, or trim."""
@@ -286,7 +308,8 @@ class INDI(Law):
     def linear(self) -> LinearLaw:
         """Return the law with its filters as memory; rudder saturation is not seen by elevator and aileron.
 
-        Nor is the highest angle of attack.
+        Nor is the highest angle of attack. An aileron that falls short now is imagined to go on so: the rudder then
+        holds the sideslip alone.
 
         Of the two filtered signals, B^-1 omega_dot - u of each surface and beta_dot + r cos alpha, the memory holds the
         low-pass's two states. Bank and pitch rates, of which the law forms its errors, are those of the attitude:
@@ -298,7 +321,10 @@ class INDI(Law):
             maps[rows, N_MEMORY + SEEN.one.start] = self._commands[-1]
             return LinearLaw(maps, memory)
         multipliers = np.array(self._multipliers)
-        inverse = np.array(self._inverse) / (self._ratio * multipliers[:, None])
+        inverse = np.array(self._inverse)
+        if self._falls_short:
+            inverse[ACTION.dr] = 0.0, 0.0, 1.0 / self._airframe.effectiveness[2][ACTION.dr]
+        inverse /= self._ratio * multipliers[:, None]
         first = (self._filter.first - self._before_first) / self._dt
         second = (self._filter.second - self._before_second) / self._dt
         memory[:3] = inverse @ first[:3] - self._filter.first[MOTIONS:]

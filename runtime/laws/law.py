@@ -101,6 +101,9 @@ class Law:
         highest: [rad], infinite for any; seen: whether the angle of attack that the law reads can be believed.
         """
 
+    def limit_range(self, low: Sequence[float], high: Sequence[float]) -> None:
+        """Take least and greatest deflection of each surface (3,) [rad]; a law that cannot use it ignores it."""
+
     @property
     def informed(self) -> bool:
         """Return whether the law goes by what it was told of a surface, and not by what it found itself."""
