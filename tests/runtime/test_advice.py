@@ -13,9 +13,10 @@ from sim_bridge.faults import Icing
 from sim_bridge.flight import Flight
 from sim_bridge.plant import NOMINAL, Plant
 from sim_bridge.world import World
+from task.laws import N_MEMORY, SEEN
 from task.limits import DEFLECTION_LIMIT, DT
 from task.reward import UNSAFE_ALPHA, terminated
-from task.state import STATE
+from task.state import ACTION, REFERENCE, STATE
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
 RESERVE = math.radians(2.5)
@@ -145,3 +146,42 @@ def test_the_protected_law_keeps_an_iced_aircraft_that_the_others_take_into_the_
         flown.append((k + 1) * DT)
     assert flown[0] < 30.0
     assert flown[1] == 30.0
+
+
+def bank_with_little_aileron(told):
+    """Return the sideslip (600,) [rad] of an INDI asked to bank by 20 deg with an aileron that ends at 0.5 deg."""
+    law, plant = make_law("indi", load_settings(), DT), Plant()
+    high = np.array([DEFLECTION_LIMIT, math.radians(0.5), DEFLECTION_LIMIT])
+    x = plant.reset(NOMINAL).copy()
+    reference = x[[STATE.theta, STATE.phi, STATE.beta]] + [0.0, math.radians(20.0), 0.0]
+    sideslip = []
+    for _ in range(600):
+        if told:
+            law.limit_range((-high).tolist(), high.tolist())
+        acts = np.clip(law.steer(x, reference), -high, high)
+        law.sent(acts)
+        x = plant.step(acts).copy()
+        sideslip.append(x[STATE.beta])
+    return np.array(sideslip)
+
+
+def test_an_indi_told_where_the_aileron_ends_asks_the_rudder_for_no_part_of_a_roll_that_does_not_come():
+    untold, told = map(bank_with_little_aileron, (False, True))
+    assert np.abs(untold).mean() > 5.0 * np.abs(told).mean()
+
+
+def test_an_indi_whose_aileron_falls_short_is_imagined_to_hold_the_sideslip_alone():
+    law, plant = make_law("indi", load_settings(), DT), Plant()
+    x = plant.reset(NOMINAL).copy()
+    asked = x[[STATE.theta, STATE.phi, STATE.beta]]
+    bank = N_MEMORY + SEEN.reference.start + REFERENCE.phi
+    parts = []
+    for error in (0.0, 0.0, 1.0):
+        law.sent(law.steer(x, asked + np.array([0.0, error, 0.0])))
+        parts.append(law.linear().maps[ACTION.dr, bank])
+    assert parts[1] != 0.0
+    assert parts[2] == 0.0
+    law.reset()
+    for _ in range(2):
+        law.sent(law.steer(x, asked))
+    assert law.linear().maps[ACTION.dr, bank] == parts[1]
