@@ -95,6 +95,10 @@ def hard(campaign: Campaign, ours: str) -> list[Claim]:
         claim(f"{where}, worst", max(times, default=math.nan), "s", "<=", 1.3),
         claim(f"{where}, median where none flies yet ({len(asked)} of {len(times)})", median(asked), "s"),
     ]
+    if falling := {k for k in reversed_ if k in oracle and stalled(oracle[k])}:
+        rest = campaign.casting({k: r for k, r in reversed_.items() if k not in falling}, all_suited=True)
+        words = f"{where}, worst, without {len(falling)} flights of which the best is on a stalled wing"
+        found.append(claim(words, max(rest, default=math.nan), "s"))
     calm = survival(still(flights), oracle)
     for air, points in (("light", 2.0), ("moderate", None)):
         rough = {k: r for k, r in flights.items() if r.air == air and r.sensors in TARGETED}

@@ -188,6 +188,20 @@ def test_a_peer_that_holds_the_attitude_of_a_falling_aircraft_is_named():
     assert math.isnan(stalls(flown.pick("ensemble")))
 
 
+def test_a_suited_member_that_falls_is_named():
+    stalls_at = (20.0, NAN)
+    records = [flight("members", i, 1.0, "good", stalled=stalls_at[i]) for i in range(2)]
+    records += [
+        flight("ensemble", i, nmae, switched_at=[-10.0, 0.4], switched_to=["calm", to])
+        for i, (nmae, to) in enumerate(((3.0, "calm"), (1.0, "good")))
+    ]
+    found = {c.claim: c for c in claims(Campaign(records, "good"), "ensemble", faithful=False)}
+    words = "ensemble, reversals, still air: time to a suited member, worst"
+    assert (found[words].value, found[words].target, found[words].holds) == ("never", "<= 1.3", False)
+    flying = found[f"{words}, without 1 flights of which the best is on a stalled wing"]
+    assert (flying.value, flying.target, flying.holds) == (0.4, "", None)
+
+
 def test_the_oracle_may_choose_laws_too():
     records = [flight("members", i, n, "net") for i, n in enumerate((1.0, None))]
     records += [flight("pid", i, 0.5, switched_to=[]) for i in range(3)]
