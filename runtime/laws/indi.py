@@ -88,7 +88,10 @@ class INDI(Law):
         self.name = name
         self.estimate = estimate
         self._gains = gains
-        self._inverse = np.linalg.inv(np.array(airframe.effectiveness)).tolist()
+        B = np.array(airframe.effectiveness)
+        self._inverse = np.linalg.inv(B).tolist()
+        self._without_rudder = np.linalg.inv(B[: ACTION.dr, : ACTION.dr]) @ np.eye(ACTION.dr, N_ACTION)
+        """Elevator and aileron (2, 3) for p and q, where the rudder adds nothing."""
         n = len(_MOTION) + N_ACTION
         self._filter = LowPass(gains.cutoff, dt, n)
         self._start = np.zeros(n)
@@ -107,8 +110,6 @@ class INDI(Law):
         self._low: Sequence[float] = ACTION_LOW.tolist()
         self._high: Sequence[float] = ACTION_HIGH.tolist()
         """Least and greatest deflection that each surface is believed to reach [rad]."""
-        self._falls_short = False
-        """Whether the aileron does not do what it is asked for."""
         self._samples = 0
 
     def reset(self) -> None:
@@ -117,7 +118,7 @@ class INDI(Law):
         self._commanded = False
         self._told = [None] * N_ACTION
         self._highest, self._rate = self._alpha_limit, math.inf
-        self._low, self._high, self._falls_short = ACTION_LOW.tolist(), ACTION_HIGH.tolist(), False
+        self._low, self._high = ACTION_LOW.tolist(), ACTION_HIGH.tolist()
         self._match_gains(0, STRAIGHT)
         if self.estimate is not None:
             self.estimate.reset()
@@ -253,8 +254,7 @@ class INDI(Law):
         determinant = a * d - b * c
         elevator = self._limited(ACTION.de, (d * roll - b * pitch) / determinant, ratio, multipliers)
         aileron = self._limited(ACTION.da, (a * pitch - c * roll) / determinant, ratio, multipliers)
-        self._falls_short = self._ends(ACTION.da)
-        if self._falls_short or self._ends(ACTION.de):
+        if self._ends(ACTION.da) or self._ends(ACTION.de):
             yaw = missing[2] - B[2][ACTION.de] * elevator - B[2][ACTION.da] * aileron
             self._limited(ACTION.dr, yaw / B[2][ACTION.dr], ratio, multipliers)
 
@@ -306,10 +306,10 @@ class INDI(Law):
             self.estimate.update(self._moved_before[:MOTIONS], self._moved[MOTIONS:], ratio, self._acceleration_before)
 
     def linear(self) -> LinearLaw:
-        """Return the law with its filters as memory; rudder saturation is not seen by elevator and aileron.
+        """Return the law with its filters as memory; the highest angle of attack is not seen.
 
-        Nor is the highest angle of attack. An aileron that falls short now is imagined to go on so: the rudder then
-        holds the sideslip alone.
+        A rudder or an aileron that is at its end now is imagined to stay there: the others then do without it, as in
+        flight. Limits that are reached later make nobody else do more.
 
         Of the two filtered signals, B^-1 omega_dot - u of each surface and beta_dot + r cos alpha, the memory holds the
         low-pass's two states. Bank and pitch rates, of which the law forms its errors, are those of the attitude:
@@ -322,7 +322,9 @@ class INDI(Law):
             return LinearLaw(maps, memory)
         multipliers = np.array(self._multipliers)
         inverse = np.array(self._inverse)
-        if self._falls_short:
+        if self._ends(ACTION.dr):
+            inverse[: ACTION.dr] = self._without_rudder
+        if self._ends(ACTION.da):
             inverse[ACTION.dr] = 0.0, 0.0, 1.0 / self._airframe.effectiveness[2][ACTION.dr]
         inverse /= self._ratio * multipliers[:, None]
         first = (self._filter.first - self._before_first) / self._dt

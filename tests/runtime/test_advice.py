@@ -170,18 +170,24 @@ def test_an_indi_told_where_the_aileron_ends_asks_the_rudder_for_no_part_of_a_ro
     assert np.abs(untold).mean() > 5.0 * np.abs(told).mean()
 
 
-def test_an_indi_whose_aileron_falls_short_is_imagined_to_hold_the_sideslip_alone():
+@pytest.mark.parametrize(
+    ("asked", "at_its_end", "other"),
+    [(REFERENCE.phi, ACTION.da, ACTION.dr), (REFERENCE.beta, ACTION.dr, ACTION.da)],
+)
+def test_an_indi_is_imagined_to_do_without_a_surface_that_is_at_its_end(asked, at_its_end, other):
     law, plant = make_law("indi", load_settings(), DT), Plant()
     x = plant.reset(NOMINAL).copy()
-    asked = x[[STATE.theta, STATE.phi, STATE.beta]]
-    bank = N_MEMORY + SEEN.reference.start + REFERENCE.phi
-    parts = []
+    column, parts = N_MEMORY + SEEN.reference.start + asked, []
     for error in (0.0, 0.0, 1.0):
-        law.sent(law.steer(x, asked + np.array([0.0, error, 0.0])))
-        parts.append(law.linear().maps[ACTION.dr, bank])
+        reference = x[[STATE.theta, STATE.phi, STATE.beta]]
+        reference[asked] += error
+        action = law.steer(x, reference)
+        law.sent(action)
+        parts.append(law.linear().maps[other, column])
+    assert abs(action[at_its_end]) == DEFLECTION_LIMIT
     assert parts[1] != 0.0
     assert parts[2] == 0.0
     law.reset()
     for _ in range(2):
-        law.sent(law.steer(x, asked))
-    assert law.linear().maps[ACTION.dr, bank] == parts[1]
+        law.sent(law.steer(x, x[[STATE.theta, STATE.phi, STATE.beta]]))
+    assert law.linear().maps[other, column] == parts[1]
