@@ -226,6 +226,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     ranges: bool = True
     """Whether a surface may be found to have lost some of its range."""
 
+    foretell: bool = False
+    """Whether late commands are made up for: whoever flies answers the state that is foretold for when the answer acts
+    (``runtime.foretelling``), and the cast is imagined from there, with commands that are in time."""
+
     delay_memory: Fraction = 0.99
     """Forgetting of the log-likelihoods of all hypotheses and of the agile filters, each sample [-]."""
 

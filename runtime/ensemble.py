@@ -32,11 +32,13 @@ class Ensemble:
         self._network, self._laws, self._cast, self._model = network, tuple(laws), cast, model
         self.parameters = network.parameters
         self._actions = [np.zeros(N_ACTION) for _ in laws]
+        self._foretold = 0
+        """How far ahead the states are that the laws see [samples]."""
         self._sent, self._offset, self._action = np.zeros(N_ACTION), np.zeros(N_ACTION), np.zeros(N_ACTION)
 
     def reset(self) -> None:
         """Start a new flight."""
-        self._sent[:] = 0.0
+        self._sent[:], self._foretold = 0.0, 0
         for law in self._laws:
             law.reset()
 
@@ -75,8 +77,11 @@ class Ensemble:
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
         ends = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
         seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
+        before, self._foretold = self._foretold, self._model.foretold
         for law in self._laws:
-            law.match(believed.delay, believed.order, believed.rate)
+            if self._foretold != before:  # what it saw last was another moment
+                law.restart_history()
+            law.match(believed.delay - self._foretold, believed.order, believed.rate)
             law.limit_alpha(highest, seen)
             law.limit_range(*ends)
             if sure is not None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from runtime.config import Adaptation
+from runtime.foretelling import foretell
 from runtime.history import CommandHistory
 from runtime.lowpass import LowPass
 from runtime.structured import Effectiveness
@@ -253,9 +254,27 @@ class IncrementalModel:
         np.copyto(self._dx, self._moved_dx)
         return learnt
 
-    def mended(self, x: np.ndarray) -> np.ndarray:
-        """Return the state x of this sample with what is known instead of what stuck sensors say."""
-        return x if self.effectiveness is None else self.effectiveness.mended(x)
+    @property
+    def foretold(self) -> int:
+        """Return how many samples ahead the state is that whoever flies answers: as many as commands are late."""
+        found = self.effectiveness
+        if found is None or not (self.settings.foretell and found.known):
+            return 0
+        return min(found.delay_samples, self.max_delay)
+
+    def answered(self, x: np.ndarray) -> np.ndarray:
+        """Return the state (>= 10,) that whoever flies answers.
+
+        That of this sample, x, with what is known instead of what stuck sensors say; where commands are late, the one
+        that is foretold for when the answer acts. Call it between :meth:`observe` and :meth:`command`.
+        """
+        if self.effectiveness is None:
+            return x
+        x = self.effectiveness.mended(x)
+        if self.foretold:
+            x = x.copy()
+            x[:N_IDENTIFIED] = self.snapshot().x
+        return x
 
     def command(self, action: np.ndarray) -> None:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
@@ -286,6 +305,10 @@ class IncrementalModel:
             if self.exact_kinematics:  # differences of noisy angles would be rates that are not there
                 dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
             delay = min(self.effectiveness.delay_samples, self.max_delay)
+            if ahead := self.foretold:
+                then = foretell(x, dx, commands, ahead, self.command_lag, model, self.exact_kinematics, self._dt)
+                x, dx = (each.astype(np.float32) for each in then)
+                delay -= ahead
             actuators = self.effectiveness.actuators
             if not delay:
                 commands[-self.command_lag - 1 :] = self.effectiveness.followed()

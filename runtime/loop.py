@@ -121,7 +121,7 @@ class Loop:
             if played is not None:
                 self.cast.take(played.decision)
             self.cast.step()
-            action = self.policy.steer(self.model.mended(x), reference)
+            action = self.policy.steer(self.model.answered(x), reference)
             command, why = self.guard.command(self.excitation.add(action))
         self.link.write(command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))

@@ -38,6 +38,7 @@ PRESETS: dict[str, Adaptation] = {
         first="indi-rls-protected",
         bandwidths=(1.0,),
         q_uncommanded=0.02,
+        foretell=True,
         margin=0.5,
         margin_trusted=0.1,
         excitation=math.radians(5.0),

@@ -155,9 +155,9 @@ class PerfectModel:
 
     @property
     def _learning(self) -> bool:
-        """Whether what the estimator finds on the way matters: to laws that fly, and where sensors stand still."""
+        """Whether what the estimator finds matters: to laws, and where sensors stand still or states are foretold."""
         found = self._model.effectiveness
-        return self._cast.law is not None or (found is not None and found.stuck.any)
+        return self._cast.law is not None or (found is not None and (found.stuck.any or self._model.foretold > 0))
 
     def _step(self, reference: np.ndarray, learning: bool, seen: bool) -> np.ndarray:
         """Do a cycle of :class:`runtime.loop.Loop` without its question; return the next true state (12,).
@@ -173,7 +173,7 @@ class PerfectModel:
             if learning and not seen:
                 self._model.observe(measured)
             self._cast.step()
-            command, _ = self._guard.command(self._policy.steer(self._model.mended(measured), reference))
+            command, _ = self._guard.command(self._policy.steer(self._model.answered(measured), reference))
         self._world.step(command)
         if learning:
             self._model.command(command)

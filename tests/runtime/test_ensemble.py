@@ -342,6 +342,23 @@ def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(cita
     assert found["alarms"][-1] < topic(other, "effectiveness")["alarms"][-1]
 
 
+@pytest.mark.parametrize("samples", [10, 15])
+def test_late_commands_are_made_up_for_once_they_are_known(citation, plant_link, tmp_path, samples):
+    def error(*overrides):
+        sent = []
+
+        def late(tick, action):
+            sent.append(action.copy())
+            return sent[max(tick - samples * (tick >= 500), 0)]
+
+        link, log = plant_link(2400, late), tmp_path / f"{len(overrides)}.ulg"
+        assert fly_rows(link, citation, log, *overrides).outcome is Outcome.OVER
+        assert topic(log, "effectiveness")["delay"][-1] == samples
+        return nmae(tracking_error(np.array(link.x[500:2400]), AGGRESSIVE[500:2400]))
+
+    assert error() < 0.5 * error("foretell=false")
+
+
 def test_an_aileron_that_oscillates_is_known_and_not_taken_for_one_that_works_otherwise(citation, plant_link, tmp_path):
     def swing(tick, action):
         return action + np.array([0.0, np.radians(3.0) * np.sin(2.0 * np.pi * (tick - 500) * DT), 0.0]) * (tick >= 500)

@@ -83,7 +83,7 @@ class Flight:
             if k == 0 and change is not None and change != self.cast.flying:
                 self.cast.take(Decision(Action.SOFT, change, Reason.BETTER, 0.0))
             self.cast.step()
-            action = self.policy.steer(self.model.mended(measured), self.rows[self.tick])
+            action = self.policy.steer(self.model.answered(measured), self.rows[self.tick])
             command, _ = self.guard.command(action)
             self.world.step(command)
             self.model.command(command)
