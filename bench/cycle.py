@@ -184,6 +184,23 @@ def estimating(population: Population) -> list[Piece]:
     ]
 
 
+def foretelling(population: Population) -> list[Piece]:
+    """Return what late commands cost in each sample: the model where the aircraft flies, taken over the delay."""
+    model = IncrementalModel(
+        resolve("ensemble").adaptation, population.command_lag, population.theta, population.p0, DT, population.rates,
+        population.max_delay, population.learnt_at,
+    )  # fmt: skip
+    found, x = model.effectiveness, level()
+    assert found is not None
+    for _ in range(10):
+        model.observe(x)
+        model.command(ACTION)
+    model.observe(x)
+    late = max(each.delay for each in found.hypotheses)
+    found.evidence.believed = [each.delay for each in found.hypotheses].index(late)
+    return [Piece(f"state foretold {late * DT:g} s ahead, where commands are late", lambda: model.answered(x))]
+
+
 def acting(population: Population) -> list[Piece]:
     """Return the behavioural policy with bound memory beside a plain session call, and what surrounds it."""
     policy = BehaviouralPolicy(population)
@@ -275,7 +292,14 @@ def main(population: Path, out: Path) -> None:
     cast = load_population(population)
     with tempfile.TemporaryDirectory() as folder, Imagination(cast, 1) as imagination:
         found = measure(
-            [*wire(), *learning(), *estimating(cast), *acting(cast), *whole(cast, Path(folder), imagination)]
+            [
+                *wire(),
+                *learning(),
+                *estimating(cast),
+                *foretelling(cast),
+                *acting(cast),
+                *whole(cast, Path(folder), imagination),
+            ]
         )
     rows = [
         [piece.name, round(ours, 1), piece.peer_name or None, round(peer, 1) if peer else None,
