@@ -32,26 +32,28 @@ from task.reward import CRASH_COST_PER_FRAME, terminated, tracking_reward
 from task.state import STATE
 
 HORIZON = 400
-ASKED_AT = 30
-"""Samples after the fault."""
+ASKED_AT = {"elevator x -1": 30, "commands 100 ms late": 60}
+"""Fault, and how many samples after it: the reversal, or the delay, is believed by then."""
+REVERSED, LATE = ASKED_AT
 
 
 @functools.cache
-def reversed_elevator():
-    """Return a flight whose elevator reverses, with noise, cut soon after what is imagined."""
-    found = (c for c in cells(load_suite("hard"), "tuning", 30) if c.fault == "elevator x -1")
+def broken(fault):
+    """Return a flight with a fault, with noise, cut soon after what is imagined."""
+    found = (c for c in cells(load_suite("hard"), "tuning", 30) if c.fault == fault)
     cell = next(c for c in found if c.sensors == "noise" and c.air == "still" and c.trim == "nominal")
     return msgspec.structs.replace(
-        cell, flight=msgspec.structs.replace(cell.flight, duration=cell.fault_at + DT * (ASKED_AT + HORIZON + 50))
+        cell,
+        flight=msgspec.structs.replace(cell.flight, duration=cell.fault_at + DT * (ASKED_AT[fault] + HORIZON + 50)),
     )
 
 
 class Flight:
     """The runtime's parts against the aircraft, without a loop: two laws and four linear members."""
 
-    def __init__(self, population, stage=0.0):
+    def __init__(self, population, fault=REVERSED, stage=0.0):
         adaptation = resolve("ensemble").adaptation
-        cell = reversed_elevator()
+        cell = broken(fault)
         self.world = World(cell.flight)
         self.rows = reference_rows(cell, float(self.world.x[STATE.theta]))
         network = BehaviouralPolicy(population)
@@ -102,16 +104,16 @@ class Flight:
         return answer.returns[0], answer.unsafe[0]
 
 
-def to_the_question(population, stage=0.0):
+def to_the_question(population, fault=REVERSED, stage=0.0):
     """Return a flight that has come to the moment of the question."""
-    flight = Flight(population, stage)
-    flight.fly(round(reversed_elevator().fault_at / DT) + ASKED_AT)
+    flight = Flight(population, fault, stage)
+    flight.fly(round(broken(fault).fault_at / DT) + ASKED_AT[fault])
     return flight
 
 
-def what_came(population, member):
+def what_came(population, member, fault=REVERSED):
     """Return the return of flying on with a member, of a flight that never asked."""
-    flight = to_the_question(population)
+    flight = to_the_question(population, fault)
     flight.model.observe(flight.world.measured)
     x, rows = flight.fly(HORIZON, member), flight.rows[flight.tick - HORIZON + 1 : flight.tick + 1]
     lost = np.logical_or.accumulate(terminated(x))
@@ -139,6 +141,18 @@ def test_what_is_foreseen_is_what_comes_and_cutting_off_leaves_the_best_as_it_is
     assert whole.max() > 0.2 * whole.min()
 
 
+def test_members_are_foreseen_to_answer_the_foretold_state_where_commands_are_late(cast, monkeypatch):
+    population = load_population(cast)
+    monkeypatch.setattr(PerfectModel, "LOOK", 10 * HORIZON)
+    flight = to_the_question(population, LATE)
+    whole, _ = flight.ask()
+    assert flight.model.foretold == 10
+    for member in (0, len(population.members)):  # a network and a law
+        came, crashed = what_came(population, member, LATE)
+        assert not crashed
+        assert whole[member] == pytest.approx(came, rel=1e-9)
+
+
 def test_sequences_are_never_worse_than_one_member(cast, monkeypatch):
     monkeypatch.setattr(PerfectModel, "LOOK", 10 * HORIZON)
     population = load_population(cast)
@@ -152,7 +166,7 @@ def test_sequences_are_never_worse_than_one_member(cast, monkeypatch):
 def test_asking_changes_nothing(cast):
     never = Row(name="never", preset="ensemble", changes=("margin=1e9", "margin_trusted=1e9"), model="aircraft")
     silent = Row(name="never", preset="ensemble", changes=("switch=none",))
-    cell = reversed_elevator()
+    cell = broken(REVERSED)
     with Flyer(load_population(cast)) as flyer:
         asking, not_asking = (plain(flyer.fly(cell, row)) for row in (never, silent))
     assert asking == not_asking
@@ -161,7 +175,7 @@ def test_asking_changes_nothing(cast):
 def test_it_is_chosen_by_name_and_flies(cast):
     row = msgspec.structs.replace(known_rows()["structured-perfect"])
     with Flyer(load_population(cast)) as flyer:
-        record = flyer.fly(reversed_elevator(), row)
+        record = flyer.fly(broken(REVERSED), row)
     assert record.survived
     assert record.switched_to[-1] in ("good/-e", "good/-er")
 
