@@ -307,8 +307,9 @@ class IncrementalModel:
             delay = min(self.effectiveness.delay_samples, self.max_delay)
             if ahead := self.foretold:
                 then = foretell(x, dx, commands, ahead, self.command_lag, model, self.exact_kinematics, self._dt)
-                x, dx = (each.astype(np.float32) for each in then)
-                delay -= ahead
+                then = then[0].astype(np.float32), then[1].astype(np.float32)
+                if np.isfinite(then).all():
+                    (x, dx), delay = then, delay - ahead
             actuators = self.effectiveness.actuators
             if not delay:
                 commands[-self.command_lag - 1 :] = self.effectiveness.followed()

@@ -82,6 +82,18 @@ def test_commands_in_time_are_answered_as_ever(delay, changes):
     assert model.answered(x) is x
 
 
+@pytest.mark.parametrize("scale", [1e4, 1e60])
+def test_a_state_beyond_all_numbers_is_not_answered(scale):
+    """In 15 samples the first leaves float32, the second float64."""
+    model, x = model_that_believes(0.15)
+    model.rls.Theta *= scale
+    with np.errstate(all="ignore"):
+        snapshot, answered = model.snapshot(), model.answered(x)
+    assert snapshot.delay == 15
+    assert np.isfinite(snapshot.x).all()
+    assert np.isfinite(answered).all()
+
+
 def test_across_a_gap_nothing_is_foretold():
     model, x = model_that_believes(0.15)
     model.restart_history()
