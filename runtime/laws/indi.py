@@ -259,7 +259,7 @@ class INDI(Law):
             self._limited(ACTION.dr, yaw / B[2][ACTION.dr], ratio, multipliers)
 
     def _limited(self, surface: int, increment: float, ratio: float, multipliers: list[float]) -> float:
-        """Move a surface by what equals an increment [rad] at nominal effect; return what of it is within limits."""
+        """Move a surface by what equals an increment [rad] at nominal effect; return what of it is done."""
         scale = ratio * multipliers[surface]
         now = float(self._start[MOTIONS + surface] + self._signal[MOTIONS + surface])
         u = min(max(now + increment / scale, -DEFLECTION_LIMIT), DEFLECTION_LIMIT)
