@@ -141,6 +141,9 @@ class Evidence:
     stall, all are surprised, and which of them the least is chance."""
     SAYS_OPEN = 2.0
     """The same while the filters are open."""
+    ADHERENCE = 2.0
+    """How many times the lead it takes to give up, while the filters are closed, a hypothesis that started behind: it
+    explains with more freedom, for which each sample counts against it, and has made up for that once."""
 
     def __init__(self, odds: list[float], memory: float, needed: float, needed_open: float) -> None:
         """``odds``: how far behind each hypothesis is when all are weighed anew [nats]."""
@@ -164,6 +167,8 @@ class Evidence:
     def weigh(self, log_likelihood: list[float], opened: bool = False) -> bool:
         """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""
         memory, needed, says = self._open if opened else self._closed
+        if not opened and self._odds[self.believed]:
+            needed *= self.ADHERENCE
         most = max(log_likelihood)
         score = [
             max(new - most, -says) - memory * behind for new, behind in zip(log_likelihood, self.behind, strict=True)

@@ -13,42 +13,43 @@ from runtime.config import Adaptation, Configuration, Operation
 from task.config import Settings, convert, read_bytes
 from task.errors import UserError
 
+_IDENTIFIED: dict[str, Any] = {
+    "effectiveness": "structured",
+    "identify": False,
+    "prior": "scheduled",
+    "q_gust": 8e-4,
+    "q_uncommanded": 0.02,
+    "excitation": math.radians(5.0),
+    "foretell": True,
+    "confirmations": 2,
+}
+"""What the presets for hard faults share: how the aircraft is identified, whoever flies it."""
+
 PRESETS: dict[str, Adaptation] = {
     "understudy": Adaptation(),
     "structured": Adaptation(
-        effectiveness="structured",
-        identify=False,
-        prior="scheduled",
+        **_IDENTIFIED,
         t_play=1.0,
         trend_time=0.5,
-        excitation=math.radians(5.0),
         travel_cost=0.3,
         travel_free=1.0,
         head_start=0.3,
         head_start_short=1.0,
         forecast_time=0.5,
         forecast_time_short=0.5,
-        confirmations=2,
     ),
     "ensemble": Adaptation(
-        effectiveness="structured",
-        identify=False,
-        prior="scheduled",
+        **_IDENTIFIED,
         laws=("indi-rls-protected", "pid"),
         first="indi-rls-protected",
         bandwidths=(1.0,),
-        q_uncommanded=0.02,
-        foretell=True,
+        elevator_reserve=math.radians(1.5),
         margin=0.5,
         margin_trusted=0.1,
-        excitation=math.radians(5.0),
-        elevator_reserve=math.radians(1.5),
-        q_gust=8e-4,
         head_start=15.0,
         head_start_short=0.5,
         forecast_time=0.2,
         forecast_time_short=3.0,
-        confirmations=2,
         confirmations_watch=2,
     ),
     "thesis": Adaptation(

@@ -14,13 +14,15 @@ import math
 
 import numpy as np
 
-from runtime.rate_filter import LAMBDA, MOTION, RateFilters
+from runtime.rate_filter import LAMBDA, MOTION, SLOPES, RateFilters
 from task.state import N_ACTION
 
 UNIT = 0.1
 """Deflection that one stands for in the place of lambda [rad]."""
 SURFACES = np.arange(N_ACTION)
 PLACES = LAMBDA.start + SURFACES
+SLOPE = SLOPES.start
+"""The place of dq'/d(alpha); the other slope's is taken."""
 
 
 class Uncommanded:
@@ -70,6 +72,11 @@ class Uncommanded:
         """Return whether the surface that is believed to move by itself, if any, would move too far."""
         return believed is not None and UNIT * abs(self._away.item(believed)) > self.FARTHEST
 
+    def moment(self, axis: int, surface: int) -> float:
+        """Return the acceleration of p, q or r [rad/s2] by what a surface adds to its commands."""
+        d = UNIT * self._filters.s.item(int(self._rows[surface]), int(PLACES[surface]))
+        return self._filters.effect(axis, surface) * self.effectiveness.item(surface) * d
+
     def rest(self, effectiveness: np.ndarray) -> None:
         """Take lambda (3,) to hold from now on, and no surface to move by itself."""
         self.effectiveness[:] = effectiveness
@@ -81,6 +88,9 @@ class Uncommanded:
         self.rest(effectiveness)
         self._filters.variances[self._rows, PLACES] = (self.FAR / UNIT) ** 2
         self._filters.variances[self._rows, MOTION] = (self.FAST / UNIT) ** 2
+        # Beside d a free slope is known by next to nothing, and wanders: what then pitches with the angle of attack is
+        # taken for motion, and refutes it.
+        self._filters.variances[self._rows, SLOPE] = 0.0
 
     def deflect(self, u: np.ndarray, coefficient: np.ndarray, known: np.ndarray, believed: int | None) -> None:
         """Set what the filters multiply lambda with, what they know of the deflections, and which of them move.

@@ -12,12 +12,12 @@ from task.limits import DEFLECTION_LIMIT, DT
 from task.scheduling import Condition
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
-NOTHING = replace(SETTINGS, delays=(), crossed=False, rate_limits=(), ranges=False)
+NOTHING = replace(SETTINGS, delays=(), crossed=False, rate_limits=(), ranges=False, q_uncommanded=0.0)
 """Commands in time alone."""
 
 
 def test_inputs_are_the_commands_of_each_hypothesis():
-    choices = hypotheses(replace(SETTINGS, delays=(0.02, 0.05), rate_limits=(50.0, 25.0), ranges=False), DT)
+    choices = hypotheses(replace(NOTHING, delays=(0.02, 0.05), crossed=True, rate_limits=(50.0, 25.0)), DT)
     healthy = [(0, STRAIGHT), (2, STRAIGHT), (5, STRAIGHT), (0, CROSSED)]
     assert [(c.delay, c.order) for c in choices] == [*healthy, (0, STRAIGHT), (0, STRAIGHT)]
     assert [c.rate for c in choices] == [np.inf] * 4 + [50.0, 25.0]
@@ -119,7 +119,8 @@ def test_crossed_aileron_and_rudder_are_found_and_imagined(effect):
 
 def test_the_imagination_starts_from_what_slow_surfaces_do_with_the_commands():
     learnt_at = Condition(90.0, 2000.0)
-    model = IncrementalModel(SETTINGS, 1, np.ones((11, 6)), np.eye(11), rates=MODEL, max_delay=15, learnt_at=learnt_at)
+    slow = replace(NOTHING, rate_limits=(0.052,))
+    model = IncrementalModel(slow, 1, np.ones((11, 6)), np.eye(11), rates=MODEL, max_delay=15, learnt_at=learnt_at)
     aircraft = Aircraft()
     for k in range(700):
         aircraft.rate = 0.052 if k >= 500 else np.inf

@@ -69,7 +69,7 @@ def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_stops_short(ef
 
 def test_ranges_are_looked_for_on_request_only():
     names = [h.limited for h in hypotheses(replace(SETTINGS, delays=(0.05,), rate_limits=(0.1,)), DT)]
-    assert names == [None] * 4 + [0, 1, 2]
+    assert names == [None] * 7 + [0, 1, 2]
     assert all(h.limited is None for h in hypotheses(replace(SETTINGS, ranges=False), DT))
     found = Effectiveness(replace(SETTINGS, ranges=False), MODEL, 1)
     assert found.ranges is None

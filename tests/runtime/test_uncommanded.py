@@ -12,13 +12,11 @@ from runtime.uncommanded import PLACES, UNIT
 from task.limits import DT
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
-OSCILLATING = replace(SETTINGS, q_uncommanded=0.02)
-
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
 @pytest.mark.parametrize(("surface", "hz"), [(0, 1.0), (1, 1.5), (2, 0.5)])
 def test_a_surface_that_oscillates_works_as_it_did(noise, surface, hz):
-    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
     aircraft.effect[surface] = 0.7
     watch(found, aircraft, 500)
     before = found.believed.copy()
@@ -46,7 +44,7 @@ def test_a_surface_that_oscillates_works_as_it_did(noise, surface, hz):
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
 def test_a_surface_that_oscillated_and_works_backwards_is_found_to(noise):
-    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
     watch(found, aircraft, 500)
     aircraft.swing[1], aircraft.hz = 0.035, 1.3
     watch(found, aircraft, 300)
@@ -65,7 +63,7 @@ def test_a_surface_that_oscillated_and_works_backwards_is_found_to(noise):
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
 @pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -0.3, 1.0), (0.3, 1.0, 1.0), (-1.0, -1.0, 1.0)])
 def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_moves_by_itself(noise, effect):
-    aircraft, found = Aircraft(noise=noise), Effectiveness(OSCILLATING, MODEL, 1)
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
     watch(found, aircraft, 500)
     aircraft.effect = np.array(effect)
     for _ in range(30):
@@ -77,7 +75,7 @@ def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_moves_by_itsel
 @pytest.mark.parametrize("elevator", [1.0, 0.3])
 def test_what_turbulence_does_is_no_surface_that_moves(elevator):
     """Neither in quiet flight nor when another surface opens the filters: gusts go on as a motion does."""
-    aircraft, found = Aircraft(), Effectiveness(OSCILLATING, MODEL, 1)
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
     rng, step, gust = np.random.default_rng(2), aircraft.step, np.zeros((2, 3))
 
     def shaken(u):
@@ -96,7 +94,7 @@ def test_what_turbulence_does_is_no_surface_that_moves(elevator):
 
 
 def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
-    past, state = Recollection(OSCILLATING, DT), np.arange(1.0, N + 1.0)
+    past, state = Recollection(SETTINGS, DT), np.arange(1.0, N + 1.0)
     for moving in (False, True):
         past.keep(0, state, np.ones(3), moving)
         past.recall(0)
@@ -105,9 +103,9 @@ def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
 
 
 def test_they_are_looked_for_on_request_only():
-    names = [h.uncommanded for h in hypotheses(replace(OSCILLATING, delays=(0.05,), rate_limits=(0.1,)), DT)]
+    names = [h.uncommanded for h in hypotheses(replace(SETTINGS, delays=(0.05,), rate_limits=(0.1,)), DT)]
     assert names == [None] * 4 + [0, 1, 2] + [None] * 3
-    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    aircraft, found = Aircraft(), Effectiveness(replace(SETTINGS, q_uncommanded=0.0), MODEL, 1)
     watch(found, aircraft, 500)
     aircraft.swing[0] = 0.05
     assert len(watch(found, aircraft, 500)) > 2
