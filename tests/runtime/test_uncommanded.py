@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from runtime.hypotheses import hypotheses
+from runtime.hypotheses import Evidence, hypotheses
 from runtime.opening import Recollection
 from runtime.rate_filter import MOTION, N
 from runtime.structured import Effectiveness
-from runtime.uncommanded import PLACES, UNIT
+from runtime.uncommanded import PLACES, SLOPE, UNIT
 from task.limits import DT
+from task.state import STATE
 from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
 
@@ -91,6 +92,39 @@ def test_what_turbulence_does_is_no_surface_that_moves(elevator):
         watch(found, aircraft, 10)
         assert found.uncommanded is None
     assert (found.alarms > 0) == (elevator < 1.0)
+
+
+def test_nothing_but_the_motion_is_looked_for():
+    """A slope would take part of the motion, and be wrong by the time the angle of attack is another one."""
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    read, step = aircraft.read, aircraft.step
+
+    def waving():
+        x = read()
+        x[STATE.alpha] += 0.05 * np.sin(2.0 * aircraft.tick * DT)
+        return x
+
+    def unstable(u):
+        step(u)
+        aircraft.w[1] += DT * 2.0 * 0.05 * np.sin(2.0 * aircraft.tick * DT)
+
+    aircraft.read = waving
+    watch(found, aircraft, 500)
+    aircraft.step, aircraft.swing[0] = unstable, 0.035
+    watch(found, aircraft, 150)
+    slopes = dict(zip(found.hypotheses, found.filter.s[:, SLOPE], strict=False))
+    assert {found.hypotheses[0].uncommanded, *(h.uncommanded for h in slopes)} == {None, 0, 1, 2}
+    for choice, slope in slopes.items():
+        assert (slope == 0.0) == (choice.uncommanded is not None or choice.limited is not None)
+
+
+@pytest.mark.parametrize(("odds", "lead"), [(0.0, 10), (5.0, 20)])
+def test_what_started_behind_is_given_up_by_twice_the_lead(odds, lead):
+    evidence = Evidence([0.0, odds], 1.0, 10.0, 10.0)
+    evidence.believed = 1
+    evidence.forget()
+    told = [evidence.weigh([1.0, 0.0]) for _ in range(30)]
+    assert told.index(True) == lead + Evidence.HOLD - 1  # a lead of more than that, held
 
 
 def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
