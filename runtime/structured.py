@@ -14,10 +14,10 @@ import numpy as np
 from runtime.alarm import Alarm
 from runtime.config import Adaptation
 from runtime.hypotheses import Evidence, Inputs, actuators, hypotheses
-from runtime.opening import Opening, Recollection
 from runtime.process_noise import ProcessNoise
 from runtime.ranges import Ranges
 from runtime.rate_filter import ALPHA_MID, LAMBDA, SLOPES, B, RateFilters, W
+from runtime.reopening import AXIS, Reopening
 from runtime.stuck import Stuck, turning
 from runtime.uncommanded import Uncommanded
 from runtime.unrest import Unrest
@@ -25,9 +25,6 @@ from task.actuators import ACTUATOR
 from task.limits import DT
 from task.rates import KNEE, RATES, RateModel, washout
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, STATE
-
-AXIS = (1, 0, 2)
-"""Which of p, q, r elevator, aileron and rudder move most."""
 
 
 class Effectiveness:
@@ -43,8 +40,6 @@ class Effectiveness:
     DOUBT = 0.1
     """Gusts are allowed for while lambda of aileron or rudder is known less well than this: a filter that is sure of
     its surfaces takes no gust for one, and the allowance would hide faults, and the turbulence from the thresholds."""
-    STEADY = 0.1
-    """Of the doubt about the bias when the filters open, where only a range is looked for."""
 
     def __init__(self, settings: Adaptation, model: RateModel, command_lag: int, dt: float = DT) -> None:
         self.settings = settings
@@ -65,11 +60,13 @@ class Effectiveness:
         self._dt = dt
         self._q_gust = settings.q_gust**2
         self._noise = ProcessNoise(settings, self._moving, self._limited, self._agile, dt)
-        self._believed_before = np.ones(N_ACTION)
         self.alarm = Alarm(settings, dt)
-        self._opening, self._past = Opening(settings, dt), Recollection(settings, dt)
         odds = [0.0 if each.uncommanded is None else Uncommanded.ODDS for each in self.hypotheses]
         self.evidence = Evidence(odds, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
+        limited = slice(self._limited, self._agile)
+        self._reopening = Reopening(
+            settings, self.filter, self.evidence, self._noise, self.ranges, self._motions, limited, dt
+        )
         self.unrest = Unrest(settings.rate_noise, dt / settings.noise_time, dt / settings.unrest_time)
         self.stuck = Stuck(dt)
         self.increment = np.zeros(RATES)
@@ -81,17 +78,13 @@ class Effectiveness:
 
     def reset(self) -> None:
         """Start a new flight: a healthy aircraft, nothing counted."""
-        self._start_anew(self.settings.effectiveness_sd)
-        self._noise.opened = False
+        self._reopening.reset()
         self.evidence.reset()
         self.unrest.reset()
         self.believed[:] = 1.0
         self.alarm.shift.restart([0.0] * RATES)
         self.alarm.clear()
         self.alarms = self.restarts = 0
-        self._opening.reset()
-        self._refuted = False
-        """Whether what an alarm was raised for is that no surface moves by itself as far as was believed."""
         self.restart_history()
 
     def restart_history(self) -> None:
@@ -105,24 +98,6 @@ class Effectiveness:
         self.alarmed = False
         """True at the sample at which an alarm was raised."""
         self.increment[:] = 0.0
-
-    def _start_anew(self, effectiveness_sd: float) -> None:
-        """Take every filter to a healthy aircraft with lambda as sure as said."""
-        self.filter.s[:] = 0.0
-        self.filter.s[:, LAMBDA] = 1.0
-        self._spread(effectiveness_sd)
-        if self._motions:
-            self._motions.rest(np.ones(N_ACTION))
-        if self.ranges:
-            self.ranges.reset()
-
-    def _spread(self, effectiveness_sd: float, slopes: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Forget correlations and set the variances of open filters."""
-        f, settings = self.filter, self.settings
-        f.P[:] = 0.0
-        f.variances[:, W], f.variances[:, LAMBDA] = settings.open_rate**2, effectiveness_sd**2
-        f.variances[:, B] = np.square(settings.open_bias)
-        f.variances[:, SLOPES] = np.square(slopes)
 
     @property
     def effectiveness(self) -> np.ndarray:
@@ -220,7 +195,7 @@ class Effectiveness:
     @property
     def searching(self) -> bool:
         """Whether an alarm has opened the filters, less than ``watch`` ago."""
-        return self.known and self._opening.searching
+        return self.known and self._reopening.opening.searching
 
     @property
     def alpha(self) -> float:
@@ -248,7 +223,8 @@ class Effectiveness:
             self.unrest.hear(w)
             f.r[:] = self.unrest.noise_variance
             if self.stuck.look(state, self.increment.tolist(), math.sqrt(self.unrest.noise_variance)):
-                self._back()
+                self._reopening.undo(self._states, self.believed)
+                self.alarm.forget_surprise()
             if self.stuck.any:
                 w = self._unstick(state)
             if f.update(w):
@@ -261,7 +237,7 @@ class Effectiveness:
                 self._believe()
             else:
                 self.restarts += 1
-                self._start_anew(self.settings.effectiveness_sd_open)
+                self._reopening.start_anew(self.settings.effectiveness_sd_open)
                 f.s[:, W] = w
             self._model_increment()
         else:
@@ -344,7 +320,9 @@ class Effectiveness:
         f.linearise(self.rates.tolist() + x[STATE.V :], r - self._low_passed, self._u, self._known)
         self._low_passed = washout(self._low_passed, r, self._dt)
         alpha, lacking = x[STATE.alpha], self.stuck.signals[RATES:]
-        self._noise.fill(f.q, levels, f.drift_step.tolist(), alpha, self._opening.calm, lacking, self.uncommanded)
+        self._noise.fill(
+            f.q, levels, f.drift_step.tolist(), alpha, self._reopening.opening.calm, lacking, self.uncommanded
+        )
         f.predict()
 
     def _model_increment(self) -> None:
@@ -369,9 +347,9 @@ class Effectiveness:
             surprise = p, q, r
         self.unrest.feel(surprise)
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
-        if not self.unrest.known or self._opening.pending:
+        if not self.unrest.known or self._reopening.opening.pending:
             alarm.clear()
-        elif evidence.weigh(self._told(), self._opening.under_way and self.uncommanded is None):
+        elif evidence.weigh(self._told(), self._reopening.opening.under_way and self.uncommanded is None):
             self.alarmed = True
             alarm.clear()
             np.copyto(self.believed, self.effectiveness)
@@ -406,30 +384,11 @@ class Effectiveness:
 
     def _judge(self, w: list[float]) -> None:
         """Raise the alarm when no hypothesis explains the rates; open the filters after it, and close them again."""
-        settings, f, alarm, opening = self.settings, self.filter, self.alarm, self._opening
+        f, alarm, opening = self.filter, self.alarm, self._reopening.opening
         explained = min(f.nis[self.evidence.best], f.nis[self.evidence.believed])
-        opening.step()
-        if opening.opens:
-            f.s[:] = self._past.recalled
-            f.s[:, W] = w
-            self._spread(settings.effectiveness_sd_open, settings.open_slopes)
-            for surface, axis in enumerate(AXIS):
-                if self.stuck.blind[axis]:
-                    f.variances[:, LAMBDA.start + surface] = settings.effectiveness_sd**2
-            if self.ranges:
-                self._look_for_ranges(self.ranges)
-            if self._motions:
-                self._motions.open(self._past.long_ago[LAMBDA])
-            self._noise.opened = True
-            if self._refuted:
-                self.evidence.believed, self._refuted = 0, False
-            self.evidence.forget()
-        elif opening.closes:
-            self._noise.opened = False
-            if self.ranges:
-                self.ranges.close()
+        self._reopening.step(w, self.stuck.blind, self._inputs.u[0], self.limited)
         if self.unrest.ends_a_phase:  # what was taken for a change was noise, or turbulence, not yet known
-            self._start_anew(settings.effectiveness_sd)
+            self._reopening.start_anew(self.settings.effectiveness_sd)
             self.believed[:] = 1.0
             f.s[:, W] = w
         if opening.closed and self.unrest.known and self.uncommanded is None:
@@ -442,24 +401,9 @@ class Effectiveness:
             self.alarmed = True
             self.alarms += 1
             alarm.clear()
-            opening.begin()
-            self._refuted = refuted
-            self._past.recall(self._states)
-            np.copyto(self._believed_before, self.believed)
+            self._reopening.begin(self._states, self.believed, refuted)
         moving = self.uncommanded is not None
-        self._past.keep(self._states, f.s[self.evidence.believed], self.effectiveness, moving)
-
-    def _look_for_ranges(self, ranges: Ranges) -> None:
-        """Open the filters that look for a range: nothing but it has changed."""
-        f, sd = self.filter, self.settings.effectiveness_sd
-        rows = slice(self._limited, self._agile)
-        f.s[rows, RATES:] = self._past.long_ago[RATES:]
-        f.variances[rows, LAMBDA], f.variances[rows, SLOPES] = sd**2, 0.0
-        works = self._past.long_ago[LAMBDA].tolist()
-        for surface, each in enumerate(works):
-            if abs(each) >= Ranges.WORKS:
-                f.variances[self._limited + surface, B] *= self.STEADY**2
-        ranges.open(self._inputs.u[0].tolist(), works, self.limited)
+        self._reopening.past.keep(self._states, f.s[self.evidence.believed], self.effectiveness, moving)
 
     def _unstick(self, x: list[float]) -> list[float]:
         """Return the rates (3,) [rad/s] with the attitude's in place of those that are stuck."""
@@ -468,23 +412,3 @@ class Effectiveness:
             if self.stuck.signals[axis]:
                 w[axis], self.filter.r[axis] = told, self.TURNING_NOISE**2
         return w
-
-    def _back(self) -> None:
-        """Undo what was learnt since a sensor stopped, and the opening that it may have asked for."""
-        f = self.filter
-        now = f.s[:, W].copy()
-        if self._opening.under_way:
-            f.s[:], self.believed[:] = self._past.recalled, self._believed_before
-            if not self._opening.pending:
-                self._spread(self.settings.effectiveness_sd)
-                self._noise.opened = False
-            self._opening.cut_short()
-        else:
-            f.s[:] = self._past.before(self._states)
-        f.s[:, W] = now
-        if self._motions:
-            self._motions.rest(self._motions.effectiveness)
-        if self.ranges:
-            self.ranges.restore()
-        self.alarm.forget_surprise()
-        self.evidence.forget()
