@@ -135,10 +135,7 @@ class Effectiveness:
     def nose_up(self) -> float:
         """Return q' that the healthy aircraft would not have here, whatever it comes from [rad/s2]."""
         f, i = self.filter, self.evidence.believed
-        moment = f.s.item(i, B.start + 1) + f.s.item(i, SLOPES.start) * (self._x[STATE.alpha] - ALPHA_MID)
-        if self._motions and self.uncommanded == ACTION.de:  # how d and the bias share what lasts is chance
-            moment += self._motions.moment(STATE.q, ACTION.de)
-        return moment
+        return f.s.item(i, B.start + 1) + f.s.item(i, SLOPES.start) * (self._x[STATE.alpha] - ALPHA_MID)
 
     @property
     def elevator_effect(self) -> float:

@@ -72,11 +72,6 @@ class Uncommanded:
         """Return whether the surface that is believed to move by itself, if any, would move too far."""
         return believed is not None and UNIT * abs(self._away.item(believed)) > self.FARTHEST
 
-    def moment(self, axis: int, surface: int) -> float:
-        """Return the acceleration of p, q or r [rad/s2] by what a surface adds to its commands."""
-        d = UNIT * self._filters.s.item(int(self._rows[surface]), int(PLACES[surface]))
-        return self._filters.effect(axis, surface) * self.effectiveness.item(surface) * d
-
     def rest(self, effectiveness: np.ndarray) -> None:
         """Take lambda (3,) to hold from now on, and no surface to move by itself."""
         self.effectiveness[:] = effectiveness
