@@ -315,8 +315,8 @@ def topic(log, name):
     return {t.name: t.data for t in ULog(str(log)).data_list}[name]
 
 
-def fly_rows(link, citation, log, *overrides):
-    with Session(link, citation, RecordedReference(AGGRESSIVE), resolve("ensemble", None, overrides), log) as session:
+def fly_rows(link, citation, log, *overrides, preset="ensemble"):
+    with Session(link, citation, RecordedReference(AGGRESSIVE), resolve(preset, None, overrides), log) as session:
         return session.fly()[0]
 
 
@@ -342,8 +342,8 @@ def test_an_elevator_that_stops_short_is_known_and_not_taken_for_a_late_one(cita
     assert found["alarms"][-1] < topic(other, "effectiveness")["alarms"][-1]
 
 
-@pytest.mark.parametrize("samples", [10, 15])
-def test_late_commands_are_made_up_for_once_they_are_known(citation, plant_link, tmp_path, samples):
+@pytest.mark.parametrize(("preset", "samples"), [("ensemble", 10), ("ensemble", 15), ("structured", 15)])
+def test_late_commands_are_made_up_for_once_they_are_known(citation, plant_link, tmp_path, preset, samples):
     def error(*overrides):
         sent = []
 
@@ -352,7 +352,7 @@ def test_late_commands_are_made_up_for_once_they_are_known(citation, plant_link,
             return sent[max(tick - samples * (tick >= 500), 0)]
 
         link, log = plant_link(2400, late), tmp_path / f"{len(overrides)}.ulg"
-        assert fly_rows(link, citation, log, *overrides).outcome is Outcome.OVER
+        assert fly_rows(link, citation, log, *overrides, preset=preset).outcome is Outcome.OVER
         assert topic(log, "effectiveness")["delay"][-1] == samples
         return nmae(tracking_error(np.array(link.x[500:2400]), AGGRESSIVE[500:2400]))
 
