@@ -142,8 +142,8 @@ class Evidence:
     SAYS_OPEN = 2.0
     """The same while the filters are open."""
     ADHERENCE = 2.0
-    """How many times the lead it takes to give up, while the filters are closed, a hypothesis that started behind: it
-    explains with more freedom, for which each sample counts against it, and has made up for that once."""
+    """How many times ``needed`` it takes to give up a hypothesis that started behind: it explains with more freedom,
+    for which each sample counts against it, and has made up for that once."""
 
     def __init__(self, odds: list[float], memory: float, needed: float, needed_open: float) -> None:
         """``odds``: how far behind each hypothesis is when all are weighed anew [nats]."""
@@ -167,7 +167,7 @@ class Evidence:
     def weigh(self, log_likelihood: list[float], opened: bool = False) -> bool:
         """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""
         memory, needed, says = self._open if opened else self._closed
-        if not opened and self._odds[self.believed]:
+        if self._odds[self.believed]:
             needed *= self.ADHERENCE
         most = max(log_likelihood)
         score = [

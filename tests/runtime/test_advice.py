@@ -71,8 +71,9 @@ def test_otherwise_any_angle_of_attack_will_do(why, found, reserve):
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
 def test_the_filters_find_the_moment_and_what_the_elevator_makes_up_for(noise):
-    # A moment that begins at once is as well an elevator that moves by itself, where no noise tells the two apart.
-    aircraft, found = Aircraft(noise=noise), Effectiveness(replace(SETTINGS, q_uncommanded=0.0), MODEL, 1)
+    # Without noise a moment that begins at once is taken for an elevator that moves by itself.
+    settings = SETTINGS if noise else replace(SETTINGS, q_uncommanded=0.0)
+    aircraft, found = Aircraft(noise=noise), Effectiveness(settings, MODEL, 1)
     assert highest_alpha(found, RESERVE) == math.inf
     watch(found, aircraft, 500)
     assert highest_alpha(found, RESERVE) == math.inf

@@ -119,13 +119,12 @@ def test_crossed_aileron_and_rudder_are_found_and_imagined(effect):
 
 def test_the_imagination_starts_from_what_slow_surfaces_do_with_the_commands():
     learnt_at = Condition(90.0, 2000.0)
-    slow = replace(NOTHING, rate_limits=(0.052,))
-    model = IncrementalModel(slow, 1, np.ones((11, 6)), np.eye(11), rates=MODEL, max_delay=15, learnt_at=learnt_at)
+    model = IncrementalModel(SETTINGS, 1, np.ones((11, 6)), np.eye(11), rates=MODEL, max_delay=15, learnt_at=learnt_at)
     aircraft = Aircraft()
-    for k in range(700):
+    for k in range(800):  # from 0.7 to 2.5 s after the fault an aileron that moves by itself explains as much
         aircraft.rate = 0.052 if k >= 500 else np.inf
         model.observe(aircraft.read())
-        if k < 699:
+        if k < 799:
             u = aircraft.command()
             model.command(u)
             aircraft.step(u)
