@@ -43,7 +43,7 @@ LOST = 100.0
 TUNED_ON = ("nominal", "F5", "R2", "R3")
 """Cases of the gains; the others are left to judge by."""
 STEP = math.radians(0.5)
-"""Deflection that the effectiveness is measured with [rad]."""
+"""Deflection that the effectiveness is measured with, and sideslip that the dihedral effect is [rad]."""
 
 START_PID = PIDGains(theta=(2.0, 2.0, 0.5), phi=(2.2, 0.5, 0.3), beta=(1.6, 3.0, 0.3), schedule=(1.0, 1.0, 0.5))
 START_INDI = INDIGains(attitude=(2.0, 2.0, 1.5), rate=(6.0, 6.0, 3.0), cutoff=15.0)
@@ -69,7 +69,7 @@ def fly(plant: Plant, law: Law, case: Case, duration: float = DURATION) -> float
 
 
 def airframe(plant: Plant) -> Airframe:
-    """Return the healthy aircraft: trim at the three conditions of the thesis, effectiveness at the nominal one."""
+    """Return the healthy aircraft: trim at the three conditions of the thesis, all else at the nominal one."""
     conditions = (NOMINAL, R1, R2)
     pressures = [0.5 * air_density(c.altitude) * c.speed**2 for c in conditions]
     elevators = []
@@ -87,10 +87,17 @@ def airframe(plant: Plant) -> Airframe:
             plant.step(action)
             effect[:, j] += sign * plant.step(action)[: STATE.r + 1] / (2.0 * STEP * DT)
     rows = np.round(effect, 2) + 0.0
+    roll = 0.0
+    for sign in (1.0, -1.0):
+        x = plant.reset(NOMINAL).copy()
+        x[STATE.beta] += sign * STEP
+        plant.reset(NOMINAL, x=x)
+        roll += sign * float(plant.step(plant.trim.action)[STATE.p]) / (2.0 * STEP * DT)
     return Airframe(
         dynamic_pressure=round(pressures[0], 1),
         trim_elevator=tuple(round(float(c), 6) for c in trim),  # type: ignore[arg-type]
         effectiveness=tuple(tuple(row) for row in rows.tolist()),  # type: ignore[arg-type]
+        dihedral=round(roll, 2),
     )
 
 

@@ -17,6 +17,9 @@ from task.config import Settings, load_json, read_bytes
 from task.limits import DT
 from task.reward import UNSAFE_ALPHA
 
+BANK_ERROR_LIMIT = math.radians(30.0)
+"""A bank error beyond which the protected law rolls by sideslip when its aileron is at its end [rad]."""
+
 SETTINGS = Path(__file__).parent / "citation.json"
 
 LAWS: tuple[LawName, ...] = get_args(LawName)
@@ -47,7 +50,8 @@ def make_law(name: LawName, settings: LawSettings, dt: float = DT) -> Law:
     estimate, protected = None, name == "indi-rls-protected"
     if name != "indi":
         estimate = Effectiveness(settings.airframe, settings.estimate, sign_free=name != "indi-rls")
-    return INDI(settings.airframe, settings.indi, estimate, name, dt, UNSAFE_ALPHA if protected else math.inf)
+    limits = (UNSAFE_ALPHA, BANK_ERROR_LIMIT) if protected else (math.inf, math.inf)
+    return INDI(settings.airframe, settings.indi, estimate, name, dt, *limits)
 
 
 def load_solo(name: LawName, dt: float = DT, path: Path = SETTINGS) -> Solo:

@@ -10,6 +10,7 @@ import numpy as np
 from runtime.hypotheses import STRAIGHT
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import Airframe, Law, Positive, Row
+from runtime.laws.slip import rolling_sideslip
 from runtime.lowpass import LowPass
 from task.config import Settings
 from task.laws import N_MEMORY, N_SEEN, SEEN, LinearLaw
@@ -60,6 +61,9 @@ class INDI(Law):
         q <= q_f - alpha_dot_f + PROTECTION (alpha_highest - alpha)
 
     And it is told where surfaces end (:meth:`limit_range`), so that the others make up for what is not done.
+
+    With a ``bank_error_limit`` the rudder rolls, by sideslip, when the aileron is at its end and bank is further than
+    that from its reference (:mod:`runtime.laws.slip`).
     """
 
     REACH = 0.5
@@ -71,6 +75,11 @@ class INDI(Law):
     CASCADE = 0.4
     """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
 
+    SLIP = 1.0
+    """Largest gain of the sideslip loop while it rolls [1/s]: before the sideslip comes, the rudder rolls the other
+    way."""
+    ROOM = math.radians(0.5)
+    """An aileron with less of its range left is at its end [rad]."""
     PROTECTION = 2.0
     """Approach of the highest angle of attack over what is left to it [1/s]."""
 
@@ -82,8 +91,9 @@ class INDI(Law):
         name: str = "indi",
         dt: float = DT,
         alpha_limit: float = math.inf,
+        bank_error_limit: float = math.inf,
     ) -> None:
-        """alpha_limit: angle of attack that is never asked for [rad]."""
+        """alpha_limit: angle of attack that is never asked for; bank_error_limit: what sideslip rolls back to [rad]."""
         super().__init__(airframe, dt)
         self.name = name
         self.estimate = estimate
@@ -107,6 +117,7 @@ class INDI(Law):
         self._told: list[float | None] = [None] * N_ACTION
         """Effectiveness over nominal, where the law was told and goes by it [-]."""
         self._highest = self._alpha_limit = alpha_limit
+        self._bank_error_limit = bank_error_limit
         self._low: Sequence[float] = ACTION_LOW.tolist()
         self._high: Sequence[float] = ACTION_HIGH.tolist()
         """Least and greatest deflection that each surface is believed to reach [rad]."""
@@ -215,12 +226,16 @@ class INDI(Law):
         cos_alpha = math.cos(now[STATE.alpha])
         self._cos_alpha, self._cos_phi = cos_alpha, math.copysign(max(abs(cos_phi), 0.1), cos_phi)
         k_theta, k_phi, k_beta = self._k_attitude
+        turn = (q * sin_phi + r * cos_phi) * math.tan(theta)
         theta_rate = wanted[REFERENCE.theta] + k_theta * (asked[REFERENCE.theta] - theta)
         phi_rate = wanted[REFERENCE.phi] + k_phi * (asked[REFERENCE.phi] - phi)
-        beta_rate = wanted[REFERENCE.beta] + k_beta * (asked[REFERENCE.beta] - now[STATE.beta])
+        slip = self._slip(asked[REFERENCE.phi] - phi, turn, p, asked[REFERENCE.beta])
+        if slip != 0.0:
+            k_beta = min(k_beta, self.SLIP)
+        beta_rate = wanted[REFERENCE.beta] + k_beta * (asked[REFERENCE.beta] + slip - now[STATE.beta])
         side = self._moved[_BETA] / self._dt + (self._signal[STATE.r] + self._start[STATE.r]) * cos_alpha
         rates = (
-            phi_rate - (q * sin_phi + r * cos_phi) * math.tan(theta),
+            phi_rate - turn,
             (theta_rate + r * sin_phi) / self._cos_phi,
             (side - beta_rate) / cos_alpha,
         )
@@ -236,6 +251,30 @@ class INDI(Law):
         ]
         self._allocate(missing, ratio)
         return self._action
+
+    def _slip(self, error: float, turn: float, p: float, reference: float) -> float:
+        """Return the sideslip, beyond its reference, that rolls where the aileron does not [rad]."""
+        if self._bank_error_limit == math.inf:
+            return 0.0
+        u = self._action.item(self._order[ACTION.da])
+        low, high = max(self._low[ACTION.da], -DEFLECTION_LIMIT), min(self._high[ACTION.da], DEFLECTION_LIMIT)
+        at = min(max(u, low), high)
+        down, up = at - low > self.ROOM, high - at > self.ROOM
+        if up and down:
+            return 0.0
+        rolls_right = self._airframe.effectiveness[0][ACTION.da] * self._multipliers[ACTION.da] > 0.0
+        right, left = (up, down) if rolls_right else (down, up)
+        return rolling_sideslip(
+            error,
+            self._bank_error_limit,
+            turn,
+            p,
+            self._acceleration.item(0),
+            self._start.item(_BETA) + self._signal.item(_BETA) - reference,
+            self._airframe.dihedral * self._ratio,
+            right,
+            left,
+        )
 
     def _allocate(self, missing: list[float], ratio: float) -> None:
         """Set the action that makes up for the missing acceleration (3,) [rad/s2].
@@ -306,7 +345,7 @@ class INDI(Law):
             self.estimate.update(self._moved_before[:MOTIONS], self._moved[MOTIONS:], ratio, self._acceleration_before)
 
     def linear(self) -> LinearLaw:
-        """Return the law with its filters as memory; the highest angle of attack is not seen.
+        """Return the law with its filters as memory; highest angle of attack and rolling by sideslip are not seen.
 
         A rudder or an aileron that is at its end now is imagined to stay there: the others then do without it, as in
         flight. Limits that are reached later make nobody else do more.

@@ -16,6 +16,7 @@ from task.reward import ALTITUDE_LIMIT
 from task.state import N_ACTION, N_REFERENCE, STATE
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Negative = Annotated[float, msgspec.Meta(lt=0.0)]
 Row = tuple[float, float, float]
 
 SEA_LEVEL_DENSITY = 1.225
@@ -42,6 +43,8 @@ class Airframe(Settings, frozen=True, kw_only=True):
     effectiveness: tuple[Row, Row, Row]
     """Angular acceleration in p, q, r (row) for each rad of elevator, aileron, rudder (column) [1/s2]; grows with
     dynamic pressure."""
+    dihedral: Negative
+    """Roll acceleration for each rad of sideslip [1/s2]; grows with dynamic pressure."""
 
 
 def air_density(altitude: float) -> float:

@@ -90,6 +90,24 @@ def test_an_aileron_at_its_limit_costs_bank_and_no_sideslip(law, plant_link, tmp
     assert np.degrees(np.abs(error(link)[1000:, 2]).mean()) < 0.01
 
 
+@pytest.mark.parametrize(
+    ("law", "outcome"), [("indi-rls-signfree", Outcome.LOST), ("indi-rls-protected", Outcome.OVER)]
+)
+@pytest.mark.parametrize("degrees", [1.5, -1.5])
+def test_a_jammed_aileron_rolls_the_aircraft_over_unless_the_rudder_rolls_it_back(
+    law, outcome, degrees, plant_link, tmp_path
+):
+    def jam(tick, action):
+        return np.array([action[0], np.radians(degrees) if tick >= 1000 else action[1], action[2]])
+
+    link = plant_link(len(ROWS), jam)
+    (flown,) = fly(link, law, tmp_path / "f.ulg")
+    assert flown.outcome is outcome
+    if outcome is Outcome.OVER:
+        assert np.degrees(np.abs(error(link)[1000:, 1])).max() < 45.0
+        assert np.degrees(np.abs(np.diff(np.array(link.sent)[2000:, ACTION.dr])).sum()) < 50.0  # the rudder is held
+
+
 @pytest.mark.parametrize("law", ["pid", "indi"])
 def test_a_delay_of_50_ms_costs_next_to_nothing(law, plant_link, tmp_path):
     """The gains are tuned with 40 ms of delay as a margin."""

@@ -8,6 +8,7 @@ from runtime.cli import main
 from runtime.laws.catalogue import LAWS, SETTINGS, load_settings, load_solo, make_law
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import air_density, attitude_rates
+from runtime.laws.slip import RETURN, ROLL, rolling_sideslip
 from sim_bridge.plant import NOMINAL, R1, R2, Plant
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT
@@ -50,6 +51,40 @@ def test_the_effectiveness_that_the_laws_know_is_the_plant_s(plant):
             plant.step(action)
             rates.append(plant.step(action)[: STATE.r + 1].copy())
         np.testing.assert_allclose(known[:, surface], (rates[0] - rates[1]) / (0.02 * 0.01), rtol=0.02, atol=0.02)
+
+
+def test_the_dihedral_effect_that_the_laws_know_is_the_plant_s(plant):
+    x, rates = plant.reset(NOMINAL).copy(), []
+    for sideslip in (0.02, -0.02):
+        x[STATE.beta] = sideslip
+        plant.reset(NOMINAL, x=x)
+        rates.append(float(plant.step(plant.trim.action)[STATE.p]))
+    assert SETTINGS_OF_LAWS.airframe.dihedral == pytest.approx((rates[0] - rates[1]) / (0.04 * 0.01), rel=0.02)
+
+
+LEVEL = {"turn": 0.0, "p": 0.0, "p_dot": 0.0, "beta": 0.0, "effect": -10.0, "bound": 0.5}
+"""Straight and level, on its reference but for the bank."""
+
+
+@pytest.mark.parametrize("error", [0.6, -0.6])
+@pytest.mark.parametrize("stuck", [True, False])
+def test_a_bank_beyond_its_bound_is_taken_back_by_sideslip_where_the_aileron_cannot(error, stuck):
+    can = {"right": not stuck or error < 0.0, "left": not stuck or error > 0.0}
+    slip = rolling_sideslip(error, **LEVEL, **can)
+    # sideslip from the left rolls right
+    assert slip == pytest.approx(-ROLL * RETURN * 0.1 / 10.0 * np.sign(error) if stuck else 0.0)
+
+
+def test_no_sideslip_is_asked_for_while_the_bank_stays_within_its_bound():
+    jammed = {"right": False, "left": False}
+    assert rolling_sideslip(0.49, **LEVEL, **jammed) == rolling_sideslip(-0.49, **LEVEL, **jammed) == 0.0
+    # nor while it comes back as fast as it need, however the body turns
+    assert rolling_sideslip(0.7, **LEVEL | {"p": 0.5 * RETURN, "turn": 0.5 * RETURN}, **jammed) == 0.0
+    # but a roll that leaves too fast is braked, and what holds it is kept
+    leaving = rolling_sideslip(0.4, **LEVEL | {"p": -0.3}, **jammed)
+    assert leaving == pytest.approx(-ROLL * (0.3 - RETURN * 0.1) / 10.0)
+    held = LEVEL | {"p": -0.1 * RETURN, "beta": -0.04}
+    assert rolling_sideslip(0.4, **held, **jammed) == pytest.approx(-0.04)
 
 
 def test_attitude_rates_are_the_task_s_kinematics():
