@@ -80,10 +80,6 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """The best member replaces the incumbent if its return R beats R_incumbent by margin * |R_incumbent|. Returns are
     negative: a margin of 0.5 asks the new member to lose at most half of what the incumbent is predicted to lose."""
 
-    margin_trusted: NotNegative | None = None
-    """The same where the imagination is trusted more [-]: while a surface is believed to stop short of its commands or
-    to do next to nothing, and for coming back to the member that flies first. Unset: ``margin``."""
-
     head_start: NotNegative = 0.0
     """Return by which the member that flies first is taken to be better than it is imagined [-; a sample's is between 0
     and -1]. Where all fly closely a share of next to nothing is chance; and who was good so far is trusted beyond what
@@ -95,11 +91,6 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 
     travel_free: NotNegative = 0.0
     """Mean speed of all surfaces together that costs nothing [rad/s]."""
-
-    head_start_short: NotNegative = 0.0
-    """The same while a surface is believed to stop short of its commands or to do next to nothing [-]: what such an
-    aircraft does is imagined better than what one with late or slow surfaces does. It lets the first member fly on; one
-    that does not fly comes back on its own merits."""
 
     rho: Fraction = 0.05
     """Polyak coefficient of eq. 8.8, each sample: half of a change is done after 14 samples."""
@@ -271,10 +262,6 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     forecast_time: NotNegative = 0.0
     """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
     time constant [s]; 0 decides on each imagination alone."""
-
-    forecast_time_short: NotNegative = 0.0
-    """The same while a surface is believed to stop short of its commands or to do next to nothing [s]: who flies such
-    an aircraft best is told by the hard moments, and the quiet ones between them change the cast to and fro."""
 
     confirmations: Annotated[int, msgspec.Meta(ge=1)] = 1
     """So many imaginations in a row must name the same member before a change that no alarm asked for."""

@@ -87,7 +87,6 @@ class Plays:
         self._switched_at = -np.inf
         self._forecast = Forecast()
         self._belief: tuple[np.ndarray, int] | None = None
-        self._short = False
         self._candidate, self._votes = -1, 0
 
     def step(self, tick: int, t: float) -> Played | None:
@@ -108,8 +107,7 @@ class Plays:
             else:
                 self._imagination.request(self._snapshot(t), tick)
                 self._asked_at = tick
-                found = self._model.effectiveness
-                self._belief, self._short = belief(found), found is not None and found.short
+                self._belief = belief(self._model.effectiveness)
                 self.asked += 1
             watching = tick < self._watch_until
             self._next = tick + self._watch_period if watching else (tick // self._period + 1) * self._period
@@ -141,23 +139,11 @@ class Plays:
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
         overtaken = asked <= self._alarm_at
-        settings, head_start, memory = self._settings, self._settings.head_start, self._settings.forecast_time
-        if self._short:
-            head_start = settings.head_start_short if self._cast.flying == self._cast.first else 0.0
-            memory = settings.forecast_time_short
-        returns = self._forecast.take(self._worth(prediction), asked * self._dt, self._belief, memory)
+        settings = self._settings
+        worth = self._worth(prediction)
+        returns = self._forecast.take(worth, asked * self._dt, self._belief, settings.forecast_time)
         unsafe = self._dt * prediction.unsafe.mean(axis=0)
-        decision = decide(
-            returns,
-            self._cast.flying,
-            age,
-            settings,
-            since_switch,
-            overtaken,
-            self._cast.first,
-            head_start,
-            self._short,
-        )
+        decision = decide(returns, self._cast.flying, age, settings, since_switch, overtaken, self._cast.first)
         decision = self._careful(decision, tick)
         if decision.action is not Action.KEEP:
             self._switched_at = tick

@@ -168,11 +168,6 @@ class Effectiveness:
         return self.hypotheses[self.evidence.believed].uncommanded
 
     @property
-    def short(self) -> bool:
-        """Return whether a surface is believed to stop short of its commands, or to do next to nothing."""
-        return self.limited is not None or bool((np.abs(self.believed) < Ranges.WORKS).any())
-
-    @property
     def mixing(self) -> np.ndarray:
         """Return the effect (3, 3) of each command (column) as elevator, aileron and rudder (row), as imagined."""
         limit = self.settings.effectiveness_limit

@@ -67,25 +67,21 @@ def decide(
     since_switch: float = np.inf,
     overtaken: bool = False,
     first: int = -1,
-    head_start: float = 0.0,
-    trusted: bool = False,
 ) -> Decision:
     """Return what to do with one imagination of the cast.
 
     returns: (P + 1,) predicted returns, the behavioural policy's own last (it may be half-way between members);
     flying: index of the member that flies or that a blend moves towards; age: of the prediction [s]; since_switch: time
     since the last switch [s]; overtaken: whether an alarm came after the question, which was about an aircraft that is
-    no more; first: index of the member that flies first, whose returns are taken to be better by head_start; trusted:
-    whether this imagination is trusted more.
+    no more; first: index of the member that flies first, whose returns are taken to be better by ``head_start``.
 
-    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent|, with ``margin_trusted`` for
-    the first member and where the imagination is trusted more.
+    The best member replaces the incumbent if R_best > R_incumbent + margin * |R_incumbent|.
     """
     members, incumbent = returns[:-1], float(returns[-1])
-    if head_start and first >= 0:
+    if settings.head_start > 0.0 and first >= 0:
         members = members.copy()
-        members[first] += head_start
-        incumbent += head_start * (flying == first)
+        members[first] += settings.head_start
+        incumbent += settings.head_start * (flying == first)
     known = np.isfinite(members)
     best = int(np.argmax(np.where(known, members, -np.inf))) if known.any() else -1
     lead = float(members[best]) - incumbent if best >= 0 and np.isfinite(incumbent) else float("nan")
@@ -104,10 +100,7 @@ def decide(
         return Decision(Action.KEEP, best, Reason.DWELL, lead)
     if not np.isfinite(incumbent):
         return Decision(switch, best, Reason.INCUMBENT_UNKNOWN, lead)
-    margin = settings.margin
-    if settings.margin_trusted is not None and (trusted or best == first):
-        margin = settings.margin_trusted
-    if lead > margin * abs(incumbent):
+    if lead > settings.margin * abs(incumbent):
         return Decision(switch, best, Reason.BETTER, lead)
     return Decision(Action.KEEP, best, Reason.MARGIN, lead)
 

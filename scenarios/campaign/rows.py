@@ -22,9 +22,8 @@ FROZEN = "frozen"
 PERFECT, SEQUENCES = "perfect", "sequences"
 """A preset that imagines its cast in the aircraft itself; and sequences of two members there."""
 CERTAIN = (
-    "watch_period=0.5", "play_delay_ticks=1", "margin=0.02", "margin_trusted=0.02", "head_start=0.0",
-    "head_start_short=0.0", "forecast_time=0.0", "forecast_time_short=0.0", "confirmations=1", "confirmations_watch=1",
-    "travel_cost=0.0",
+    "watch_period=0.5", "play_delay_ticks=1", "margin=0.02", "head_start=0.0", "forecast_time=0.0",
+    "confirmations=1", "confirmations_watch=1", "travel_cost=0.0",
 )  # fmt: skip
 """What a perfect model says is believed at once. A question costs it seconds: after an alarm there are fewer."""
 DERIVED = (NONE, ROBUST, ORACLE)

@@ -129,15 +129,15 @@ HARD, QUIET = [-40.0, -20.0, -90.0, -90.0], [-1.0, -2.0, -90.0, -90.0]
 """What "good", "lazy" and the others are foretold in a hard moment and in a quiet one."""
 
 
-def foretell(population, settings, short, foretold, flying, alarm_at=-1):
-    """Return what comes of returns that are foretold, while a surface is believed to stop short or not."""
-    flight = Flight(population, None, settings, flying)
+def foretell(population, settings, foretold, alarm_at=-1):
+    """Return what comes of returns that are foretold while "good" flies."""
+    flight = Flight(population, None, settings, "good")
     flight.cast.first = MEMBERS.index("good")
-    found = SimpleNamespace(short=short, believed=np.ones(3), evidence=SimpleNamespace(believed=0))
+    found = SimpleNamespace(believed=np.ones(3), evidence=SimpleNamespace(believed=0))
     model = SimpleNamespace(alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=found)
     plays = flight.plays
     plays._model, plays._snapshot = model, lambda t: None
-    plays._imagination = Foretold([*row, row[MEMBERS.index(flying)]] for row in foretold)
+    plays._imagination = Foretold([*row, row[MEMBERS.index("good")]] for row in foretold)
     decided = []
     for tick in range(100):
         model.alarmed = tick == alarm_at
@@ -147,38 +147,27 @@ def foretell(population, settings, short, foretold, flying, alarm_at=-1):
 
 
 @pytest.mark.parametrize(
-    ("short", "foretold", "flying", "expected"),
+    ("head_start", "memory", "foretold", "expected"),
     [
-        (False, [HARD], "good", ["good"]),
-        (True, [HARD], "good", ["lazy"]),
-        (True, [HARD, QUIET, QUIET, QUIET], "good", ["lazy"]),  # the hard moment is remembered
-        (True, [QUIET], "good", ["good"]),
-        (True, [[-1.0, -0.9, -90.0, -90.0]], "good", ["good"]),  # half of head start
-        (True, [[-1.2, -1.0, -90.0, -90.0]], "lazy", ["lazy"]),  # that brings nobody back
-        (False, [[-1.2, -1.0, -90.0, -90.0]], "lazy", ["good"]),
+        (25.0, 0.0, [HARD], "good"),
+        (0.5, 0.0, [HARD], "lazy"),
+        (0.5, 0.0, [HARD, QUIET, QUIET, QUIET], "good"),
+        (0.5, 3.0, [HARD, QUIET, QUIET, QUIET], "lazy"),  # the hard moment is remembered
+        (0.0, 0.0, [[-1.0, -0.8, -90.0, -90.0]], "lazy"),
+        (0.5, 0.0, [[-1.0, -0.8, -90.0, -90.0]], "good"),
     ],
 )
-def test_the_head_start_is_small_and_the_memory_long_while_a_surface_stops_short(
-    population, short, foretold, flying, expected
+def test_who_flies_first_has_a_head_start_and_returns_are_remembered(
+    population, head_start, memory, foretold, expected
 ):
-    settings = msgspec.structs.replace(
-        SETTINGS, head_start=25.0, head_start_short=0.5, forecast_time=0.01, forecast_time_short=3.0
-    )
-    played = foretell(population, settings, short, foretold, flying)
-    assert [MEMBERS[played[-1].decision.member]] == expected
-
-
-@pytest.mark.parametrize(("short", "reason"), [(False, Reason.MARGIN), (True, Reason.BETTER)])
-def test_the_margin_is_another_while_a_surface_stops_short(population, short, reason):
-    settings = msgspec.structs.replace(SETTINGS, margin=0.5, margin_trusted=0.1)
-    played = foretell(population, settings, short, [[-10.0, -7.0, -90.0, -90.0]], "good")
-    assert played[-1].decision.reason == reason
+    settings = msgspec.structs.replace(SETTINGS, head_start=head_start, forecast_time=memory)
+    assert MEMBERS[foretell(population, settings, foretold)[-1].decision.member] == expected
 
 
 @pytest.mark.parametrize(("needed", "reasons"), [(1, [Reason.BETTER]), (2, [Reason.UNCONFIRMED, Reason.BETTER])])
 def test_after_an_alarm_as_many_imaginations_must_agree_as_are_asked_for(population, needed, reasons):
     settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=needed, watch=0.5)
-    played = foretell(population, settings, False, [HARD], "good", alarm_at=12)
+    played = foretell(population, settings, [HARD], alarm_at=12)
     assert [p.decision.reason for p in played[:needed]] == reasons
     assert [MEMBERS[p.decision.member] for p in played[:needed]] == ["lazy"] * needed
     asked = [p.tick_asked for p in played[:needed]]
@@ -188,7 +177,7 @@ def test_after_an_alarm_as_many_imaginations_must_agree_as_are_asked_for(populat
 
 def test_an_alarm_does_not_hasten_what_chance_says(population):
     settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=2, watch=0.5)
-    played = foretell(population, settings, False, [HARD, QUIET, HARD, QUIET, QUIET], "good", alarm_at=12)
+    played = foretell(population, settings, [HARD, QUIET, HARD, QUIET, QUIET], alarm_at=12)
     assert all(p.decision.action is Action.KEEP for p in played)
 
 

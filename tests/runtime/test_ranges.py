@@ -17,14 +17,13 @@ def test_a_surface_that_stops_short_is_found_with_both_ends_of_its_range(noise, 
     aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
     trim = (-0.02, 0.0, 0.0)[surface]
     watch(found, aircraft, 500)
-    assert not found.short
+    assert found.limited is None
     ends = trim - 0.012, trim + 0.015
     aircraft.low[surface], aircraft.high[surface] = ends
     gentle = aircraft.command
     aircraft.command = lambda: 2.5 * gentle()
     alarms = watch(found, aircraft, 400)
     assert found.limited == surface
-    assert found.short
     assert len(alarms) == 2  # the surprise, and what is believed then
     np.testing.assert_allclose(found.actuators[:2, surface], ends, atol=0.001)
     others = [i for i in range(3) if i != surface]

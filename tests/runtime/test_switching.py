@@ -92,10 +92,10 @@ def test_a_blend_is_turned_in_mid_flight_from_where_it_is():
 
 
 def test_who_flies_first_has_a_head_start_and_is_returned_to():
-    start = Adaptation(margin=0.1)
+    start = Adaptation(margin=0.1, head_start=8.0)
 
     def decided(returns, flying):
-        return decide(np.array(returns), flying, 0.1, start, first=0, head_start=8.0)
+        return decide(np.array(returns), flying, 0.1, start, first=0)
 
     # the first member is left only when more than the head start is at stake
     assert decided([-10.0, -3.0, -10.0], 0).action is Action.KEEP
@@ -105,17 +105,4 @@ def test_who_flies_first_has_a_head_start_and_is_returned_to():
     assert (back.action, back.member) == (Action.SOFT, 0)
     assert decided([-20.0, -6.0, -6.0], 1).action is Action.KEEP
     # others have none
-    assert decide(np.array([-10.0, -6.0, -6.0]), 1, 0.1, start, head_start=8.0).action is Action.KEEP
-
-
-def test_the_first_member_comes_back_by_the_smaller_margin():
-    settings = Adaptation(margin=0.5, margin_trusted=0.1)
-    returns = np.array([-7.0, -7.0, -10.0, -10.0])
-    assert decide(returns, 2, 0.1, settings, first=1).reason is Reason.MARGIN  # another is as good, and comes first
-    returns[0] = -8.0
-    assert decide(returns, 2, 0.1, settings, first=1).member == 1
-    assert decide(returns, 2, 0.1, settings, first=1).action is Action.SOFT
-    assert decide(returns, 2, 0.1, settings).reason is Reason.MARGIN
-    assert decide(returns, 2, 0.1, settings, trusted=True).action is Action.SOFT
-    whole = Adaptation(margin=0.5)
-    assert decide(returns, 2, 0.1, whole, first=1, trusted=True).reason is Reason.MARGIN
+    assert decide(np.array([-10.0, -6.0, -6.0]), 1, 0.1, start).action is Action.KEEP

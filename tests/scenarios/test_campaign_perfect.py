@@ -164,7 +164,7 @@ def test_sequences_are_never_worse_than_one_member(cast, monkeypatch):
 
 
 def test_asking_changes_nothing(cast):
-    never = Row(name="never", preset="ensemble", changes=("margin=1e9", "margin_trusted=1e9"), model="aircraft")
+    never = Row(name="never", preset="ensemble", changes=("margin=1e9",), model="aircraft")
     silent = Row(name="never", preset="ensemble", changes=("switch=none",))
     cell = broken(REVERSED)
     with Flyer(load_population(cast)) as flyer:
