@@ -10,7 +10,7 @@ import numpy as np
 from runtime.hypotheses import STRAIGHT
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import Airframe, Law, Positive, Row
-from runtime.laws.slip import rolling_sideslip
+from runtime.laws.slip import BankHold
 from runtime.lowpass import LowPass
 from task.config import Settings
 from task.laws import N_MEMORY, N_SEEN, SEEN, LinearLaw
@@ -117,7 +117,7 @@ class INDI(Law):
         self._told: list[float | None] = [None] * N_ACTION
         """Effectiveness over nominal, where the law was told and goes by it [-]."""
         self._highest = self._alpha_limit = alpha_limit
-        self._bank_error_limit = bank_error_limit
+        self._bank = BankHold(bank_error_limit, dt) if bank_error_limit < math.inf else None
         self._low: Sequence[float] = ACTION_LOW.tolist()
         self._high: Sequence[float] = ACTION_HIGH.tolist()
         """Least and greatest deflection that each surface is believed to reach [rad]."""
@@ -128,6 +128,8 @@ class INDI(Law):
         super().reset()
         self._commanded = False
         self._told = [None] * N_ACTION
+        if self._bank is not None:
+            self._bank.reset()
         self._highest, self._rate = self._alpha_limit, math.inf
         self._low, self._high = ACTION_LOW.tolist(), ACTION_HIGH.tolist()
         self._match_gains(0, STRAIGHT)
@@ -254,27 +256,17 @@ class INDI(Law):
 
     def _slip(self, error: float, turn: float, p: float, reference: float) -> float:
         """Return the sideslip, beyond its reference, that rolls where the aileron does not [rad]."""
-        if self._bank_error_limit == math.inf:
+        if self._bank is None:
             return 0.0
         u = self._action.item(self._order[ACTION.da])
         low, high = max(self._low[ACTION.da], -DEFLECTION_LIMIT), min(self._high[ACTION.da], DEFLECTION_LIMIT)
         at = min(max(u, low), high)
         down, up = at - low > self.ROOM, high - at > self.ROOM
-        if up and down:
-            return 0.0
         rolls_right = self._airframe.effectiveness[0][ACTION.da] * self._multipliers[ACTION.da] > 0.0
         right, left = (up, down) if rolls_right else (down, up)
-        return rolling_sideslip(
-            error,
-            self._bank_error_limit,
-            turn,
-            p,
-            self._acceleration.item(0),
-            self._start.item(_BETA) + self._signal.item(_BETA) - reference,
-            self._airframe.dihedral * self._ratio,
-            right,
-            left,
-        )
+        beta = self._start.item(_BETA) + self._signal.item(_BETA) - reference
+        effect = self._airframe.dihedral * self._ratio
+        return self._bank.sideslip(error, turn, p, self._acceleration.item(0), beta, effect, right, left)
 
     def _allocate(self, missing: list[float], ratio: float) -> None:
         """Set the action that makes up for the missing acceleration (3,) [rad/s2].

@@ -8,10 +8,10 @@ from runtime.cli import main
 from runtime.laws.catalogue import LAWS, SETTINGS, load_settings, load_solo, make_law
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import air_density, attitude_rates
-from runtime.laws.slip import RETURN, ROLL, rolling_sideslip
+from runtime.laws.slip import RETURN, ROLL, BankHold
 from sim_bridge.plant import NOMINAL, R1, R2, Plant
 from task.errors import UserError
-from task.limits import DEFLECTION_LIMIT
+from task.limits import DEFLECTION_LIMIT, DT
 from task.model import kinematic_rates
 from task.state import ACTION, N_STATE, REFERENCE, STATE
 
@@ -62,29 +62,43 @@ def test_the_dihedral_effect_that_the_laws_know_is_the_plant_s(plant):
     assert SETTINGS_OF_LAWS.airframe.dihedral == pytest.approx((rates[0] - rates[1]) / (0.04 * 0.01), rel=0.02)
 
 
-LEVEL = {"turn": 0.0, "p": 0.0, "p_dot": 0.0, "beta": 0.0, "effect": -10.0, "bound": 0.5}
+LEVEL = {"turn": 0.0, "p": 0.0, "p_dot": 0.0, "beta": 0.0, "effect": -10.0}
 """Straight and level, on its reference but for the bank."""
+JAMMED = {"right": False, "left": False}
 
 
 @pytest.mark.parametrize("error", [0.6, -0.6])
 @pytest.mark.parametrize("stuck", [True, False])
 def test_a_bank_beyond_its_bound_is_taken_back_by_sideslip_where_the_aileron_cannot(error, stuck):
     can = {"right": not stuck or error < 0.0, "left": not stuck or error > 0.0}
-    slip = rolling_sideslip(error, **LEVEL, **can)
+    slip = BankHold(0.5, DT).sideslip(error, **LEVEL, **can)
     # sideslip from the left rolls right
     assert slip == pytest.approx(-ROLL * RETURN * 0.1 / 10.0 * np.sign(error) if stuck else 0.0)
 
 
 def test_no_sideslip_is_asked_for_while_the_bank_stays_within_its_bound():
-    jammed = {"right": False, "left": False}
-    assert rolling_sideslip(0.49, **LEVEL, **jammed) == rolling_sideslip(-0.49, **LEVEL, **jammed) == 0.0
+    hold = BankHold(0.5, DT)
+    assert hold.sideslip(0.49, **LEVEL, **JAMMED) == hold.sideslip(-0.49, **LEVEL, **JAMMED) == 0.0
     # nor while it comes back as fast as it need, however the body turns
-    assert rolling_sideslip(0.7, **LEVEL | {"p": 0.5 * RETURN, "turn": 0.5 * RETURN}, **jammed) == 0.0
+    assert hold.sideslip(0.7, **LEVEL | {"p": 0.5 * RETURN, "turn": 0.5 * RETURN}, **JAMMED) == 0.0
     # but a roll that leaves too fast is braked, and what holds it is kept
-    leaving = rolling_sideslip(0.4, **LEVEL | {"p": -0.3}, **jammed)
+    leaving = BankHold(0.5, DT).sideslip(0.4, **LEVEL | {"p": -0.3}, **JAMMED)
     assert leaving == pytest.approx(-ROLL * (0.3 - RETURN * 0.1) / 10.0)
-    held = LEVEL | {"p": -0.1 * RETURN, "beta": -0.04}
-    assert rolling_sideslip(0.4, **held, **jammed) == pytest.approx(-0.04)
+    held = LEVEL | {"p": -0.1 * RETURN, "beta": -0.03}
+    assert BankHold(0.5, DT).sideslip(0.4, **held, **JAMMED) == pytest.approx(-0.03)
+
+
+def test_where_sideslip_must_be_held_anyway_the_bound_closes():
+    hold = BankHold(0.5, DT)
+    held, free = LEVEL | {"p": -0.02, "beta": -0.06}, LEVEL | {"beta": 0.0}
+    for _ in range(500):
+        hold.sideslip(0.5, **held, **JAMMED)
+    assert hold.bound == pytest.approx(0.5 / np.e, rel=0.01)
+    for _ in range(200):
+        hold.sideslip(0.0, **free, **JAMMED)
+    assert hold.bound == pytest.approx(0.5 - 0.5 * (1.0 - 1.0 / np.e) / np.e, rel=0.01)
+    hold.reset()
+    assert hold.bound == 0.5
 
 
 def test_attitude_rates_are_the_task_s_kinematics():
