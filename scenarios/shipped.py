@@ -27,7 +27,10 @@ OURS = ("ensemble", "understudy-soft")
 """Of these modes, the first that a scenario has is what its claim is about."""
 WORSE = 2.0
 """An adaptation does harm when nMAE grows by more than this against no adaptation [%]."""
-PICTURED = ("cg_beyond_neutral", "crossed_controls", "late_commands", "reversed_at_limit", "reversed_elevator")
+PICTURED = (
+    "cg_beyond_neutral", "crossed_controls", "jammed_aileron", "late_commands", "reversed_at_limit",
+    "reversed_elevator",
+)  # fmt: skip
 """Scenarios of which README and docs show the picture."""
 
 
