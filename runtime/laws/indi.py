@@ -232,7 +232,7 @@ class INDI(Law):
         theta_rate = wanted[REFERENCE.theta] + k_theta * (asked[REFERENCE.theta] - theta)
         phi_rate = wanted[REFERENCE.phi] + k_phi * (asked[REFERENCE.phi] - phi)
         slip = self._slip(asked[REFERENCE.phi] - phi, turn, p, asked[REFERENCE.beta])
-        if slip != 0.0:
+        if self._bank is not None and (slip != 0.0 or self._bank.closed):
             k_beta = min(k_beta, self.SLIP)
         beta_rate = wanted[REFERENCE.beta] + k_beta * (asked[REFERENCE.beta] + slip - now[STATE.beta])
         side = self._moved[_BETA] / self._dt + (self._signal[STATE.r] + self._start[STATE.r]) * cos_alpha

