@@ -23,6 +23,10 @@ for 0.8; one that is stable asks for nothing, and is kept from what it could do.
 STEEPEST = math.radians(3.0)
 """An angle of attack that cannot be held is left no faster than if it were this far away [rad]."""
 
+LOWEST = 0.0
+"""No angle of attack below this is asked for, whatever the elevator holds [rad]: a stable aircraft needs the more of it
+the lower its nose is, and a limit that went on below would push the nose down without end."""
+
 
 def sure_signs(found: Effectiveness) -> list[float | None]:
     """Return lambda (3,), None where its sign is not known for sure; a surface that stops short has none."""
@@ -48,4 +52,4 @@ def highest_alpha(found: Effectiveness, reserve: float) -> float:
         return math.inf
     needed = found.acted.item(ACTION.de) - found.pitching / effect
     left = (DEFLECTION_LIMIT - reserve - needed) / ELEVATOR_FOR_ALPHA
-    return found.alpha + max(left, -STEEPEST)
+    return max(found.alpha + max(left, -STEEPEST), LOWEST)
