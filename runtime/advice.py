@@ -44,6 +44,8 @@ def highest_alpha(found: Effectiveness, reserve: float) -> float:
     the elevator ends, the nose goes on. What is needed now is what acts, and what would stop the pitching:
 
         alpha + (limit - reserve - (u - q' / (dq'/du))) / ELEVATOR_FOR_ALPHA
+
+    but no further below alpha than ``STEEPEST``, and not below ``LOWEST``.
     """
     if reserve == 0.0 or not found.known or found.stuck.any:
         return math.inf
