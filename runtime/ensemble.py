@@ -67,13 +67,12 @@ class Ensemble:
         return self._action
 
     def _tell(self) -> None:
-        """Tell the laws what is believed of their commands, where surfaces end and, after an alarm, how they work."""
+        """Tell the laws what is believed of their commands, where surfaces end and which of them are reversed."""
         found = self._model.effectiveness
         if found is None:
             return
         believed = found.hypotheses[found.evidence.believed]
-        news = found.searching
-        sure = sure_signs(found) if news or any(law.informed for law in self._laws) else None
+        sure = sure_signs(found)
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
         ends = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
         seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
@@ -84,8 +83,7 @@ class Ensemble:
             law.match(believed.delay - self._foretold, believed.order, believed.rate)
             law.limit_alpha(highest, seen)
             law.limit_range(*ends)
-            if sure is not None:
-                law.inform(sure, news)
+            law.inform(sure)
 
     def sent(self, command: np.ndarray) -> None:
         """Take what was sent; a law is told what of it is believed to act."""

@@ -18,11 +18,12 @@ from task.state import ACTION, N_ACTION
 
 
 class Excitation:
-    """Adds pulses to what the policy asks for: after an alarm, on a surface at its limit whose lambda is unsure.
+    """Adds pulses to what the policy asks for, on a surface at its limit.
 
-    One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then nothing for
-    ``REST`` on that surface. Near the stall an elevator that is believed to hold the nose down is left alone: with the
-    centre of gravity far aft all of it is needed, and a pulse would take some away.
+    After an alarm where its lambda is unsure; and at any time where it is believed to do nothing, which costs nothing if
+    that is so. One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then nothing
+    for ``REST`` or ``REST_DEAD`` on that surface. Near the stall an elevator that is believed to hold the nose down is
+    left alone: with the centre of gravity far aft all of it is needed, and a pulse would take some away.
     """
 
     AT_LIMIT = 0.98
@@ -31,12 +32,15 @@ class Excitation:
     """Samples for which a command must have been there: who moves by himself needs no pulse."""
     REST = 0.1
     """From a pulse to the next one of the same surface [s]: the rates have answered by then."""
+    REST_DEAD = 0.5
+    """The same for a surface that is believed to do nothing [s]."""
 
     def __init__(self, settings: Adaptation, found: Effectiveness | None, dt: float = DT) -> None:
         """``found``: who knows how sure each lambda is; without, and with a pulse of zero size, nothing is added."""
         self._found = found if settings.excitation > 0.0 else None
         self._size, self._unsure = settings.excitation, settings.excitation_sd
-        self._long, self._rest = max(round(settings.excitation_time / dt), 1), round(self.REST / dt)
+        self._long = max(round(settings.excitation_time / dt), 1)
+        self._rest, self._rest_dead = round(self.REST / dt), round(self.REST_DEAD / dt)
         self._still, self._resting = [0] * N_ACTION, [0] * N_ACTION
         self._pulsed, self._last, self._left = -1, -1, 0
         self._out = np.zeros(N_ACTION)
@@ -60,11 +64,8 @@ class Excitation:
             self._resting[surface] = max(self._resting[surface] - 1, 0)
         if self._left == 0:
             self._pulsed = -1
-            if found.searching and max(self._still) >= self.STILL:
-                sd = found.sd.tolist()
-                if found.near_stall and asked[ACTION.de] * found.believed[ACTION.de] > 0.0:
-                    sd[ACTION.de] = 0.0
-                self._begin(sd)
+            if max(self._still) >= self.STILL:
+                self._begin(self._due(found, asked[ACTION.de]))
         if self._left == 0:
             return action
         self._left -= 1
@@ -77,13 +78,22 @@ class Excitation:
         self._out[self._pulsed] = within - math.copysign(min(self._size, abs(within)), within)
         return self._out
 
-    def _begin(self, sd: list[float]) -> None:
+    def _due(self, found: Effectiveness, elevator: float) -> list[int]:
+        """Return for each surface how long it rests after a pulse [samples], 0 where none is due; elevator: asked."""
+        believed = found.believed.tolist()
+        due = [0 if each else self._rest_dead for each in believed]
+        if found.searching:
+            due = [self._rest if sd > self._unsure else rest for sd, rest in zip(found.sd.tolist(), due, strict=True)]
+            if found.near_stall and elevator * believed[ACTION.de] > 0.0:
+                due[ACTION.de] = 0
+        return due
+
+    def _begin(self, due: list[int]) -> None:
         """Begin a pulse where one is due: the elevator's first, since pitch diverges the fastest, then in turn."""
         for surface in (*range(self._last + 1, N_ACTION), *range(self._last + 1)):
-            unsure = sd[surface] > self._unsure
-            if unsure and self._still[surface] >= self.STILL and not self._resting[surface]:
+            if due[surface] and self._still[surface] >= self.STILL and not self._resting[surface]:
                 self._pulsed = self._last = surface
                 self._left = self._long
-                self._resting[surface] = self._long + self._rest
+                self._resting[surface] = self._long + due[surface]
                 self.pulses += 1
                 return

@@ -69,7 +69,7 @@ class Ranges:
 
     UNIT = 0.1
     """Deflection that one stands for in the place of lambda [rad]."""
-    SURE = 0.005
+    SURE = 0.0075
     """A place known as well as this tells whether the surface follows [rad]."""
     NEAR = 0.01
     """Closer to the command than this it may follow [rad]."""

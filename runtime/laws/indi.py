@@ -115,7 +115,7 @@ class INDI(Law):
         self._ratio, self._cos_alpha, self._cos_phi = 1.0, 1.0, 1.0
         self._commanded = False
         self._told: list[float | None] = [None] * N_ACTION
-        """Effectiveness over nominal, where the law was told and goes by it [-]."""
+        """Effectiveness over nominal, where the law goes by what it was told [-]."""
         self._highest = self._alpha_limit = alpha_limit
         self._bank = BankHold(bank_error_limit, dt) if bank_error_limit < math.inf else None
         self._low: Sequence[float] = ACTION_LOW.tolist()
@@ -159,15 +159,12 @@ class INDI(Law):
         self._rate = rate
         self._match_gains(min(delay, MAX_DELAY), order)
 
-    def inform(self, sure: Sequence[float | None], news: bool) -> None:
-        """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law goes by.
-
-        From an alarm on, until the two agree or nobody is sure any more. Without an alarm the law is left to what it
-        found itself: a surface that nobody moves is known for sure as it was.
-        """
-        for surface, (found, own) in enumerate(zip(sure, self._own, strict=True)):
-            wrong = found is not None and found * own < 0.0
-            self._told[surface] = found if wrong and (news or self._told[surface] is not None) else None
+    def inform(self, sure: Sequence[float | None]) -> None:
+        """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law finds."""
+        self._told = [
+            found if found is not None and found * own < 0.0 else None
+            for found, own in zip(sure, self._own, strict=True)
+        ]
 
     def limit_alpha(self, highest: float, seen: bool) -> None:
         """Take the highest angle of attack that the elevator can hold [rad], infinite for any.
@@ -184,11 +181,6 @@ class INDI(Law):
         for what they really do.
         """
         self._low, self._high = low, high
-
-    @property
-    def informed(self) -> bool:
-        """Return whether the law goes by what it was told of a surface."""
-        return any(told is not None for told in self._told)
 
     @property
     def _own(self) -> list[float]:

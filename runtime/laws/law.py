@@ -91,11 +91,10 @@ class Law:
         rate: how fast surfaces move at most [rad/s], which :meth:`sent` has in its commands then.
         """
 
-    def inform(self, sure: Sequence[float | None], news: bool) -> None:
+    def inform(self, sure: Sequence[float | None]) -> None:
         """Take the effectiveness of elevator, aileron and rudder; a law that cannot use it ignores it.
 
-        sure: signed, over that of the healthy aircraft [-], None where the sign is not known for sure; news: whether an
-        alarm came lately.
+        sure: signed, over that of the healthy aircraft [-], None where the sign is not known for sure.
         """
 
     def limit_alpha(self, highest: float, seen: bool) -> None:
@@ -106,11 +105,6 @@ class Law:
 
     def limit_range(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Take least and greatest deflection of each surface (3,) [rad]; a law that cannot use it ignores it."""
-
-    @property
-    def informed(self) -> bool:
-        """Return whether the law goes by what it was told of a surface, and not by what it found itself."""
-        return False
 
     def linear(self) -> LinearLaw:
         """Return how the law goes on from the last state it saw, for the imagination: linear, with its memory.

@@ -88,6 +88,18 @@ def test_without_an_alarm_there_is_no_pulse():
     assert Excitation(PRESETS["understudy"], found).add(AT_LIMIT) is AT_LIMIT
 
 
+@pytest.mark.parametrize(("searching", "rest"), [(False, Excitation.REST_DEAD), (True, Excitation.REST)])
+def test_a_surface_that_is_believed_to_do_nothing_gets_pulses_without_an_alarm_and_rests_longer(searching, rest):
+    found = Found(0.5, 0.0, 0.0)
+    found.searching, found.believed[0] = searching, 0.0
+    excitation = Excitation(SETTINGS, found)
+    out = asked(excitation, AT_LIMIT, 200)
+    begins = np.flatnonzero(np.diff((out[:, 0] > -DEFLECTION_LIMIT).astype(int)) == 1) + 1
+    assert begins[0] == Excitation.STILL - 1
+    np.testing.assert_array_equal(np.diff(begins), LONG + round(rest / DT))
+    np.testing.assert_array_equal(asked(excitation, 0.9 * AT_LIMIT, 40)[LONG:], np.tile(0.9 * AT_LIMIT, (40 - LONG, 1)))
+
+
 def test_a_command_that_leaves_its_limit_is_taken_to_the_middle_at_most():
     excitation = Excitation(SETTINGS, Found(1.0, 1.0, 1.0))
     asked(excitation, AT_LIMIT, Excitation.STILL)

@@ -5,10 +5,12 @@ import pytest
 from msgspec.structs import replace
 
 from runtime.hypotheses import hypotheses
+from runtime.ranges import Ranges
 from runtime.structured import Effectiveness
 from task.actuators import HEALTHY
 from task.limits import DT
-from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
+from task.rates import RateModel
+from tests.runtime.rate_aircraft import DRIFT, EFFECT, MODEL, SETTINGS, Aircraft, watch
 
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
@@ -44,6 +46,19 @@ def test_a_surface_that_stops_short_is_found_with_both_ends_of_its_range(noise, 
     assert found.limited is None or (low < trim - 0.03 and high > trim + 0.03)
 
 
+def test_the_end_is_found_also_where_the_surface_moves_the_aircraft_little():
+    """An elevator at low speed: a moment that was there before could be as much of it."""
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, RateModel(DRIFT, 0.44 * EFFECT), 1)
+    aircraft.effect = np.full(3, 0.44)
+    watch(found, aircraft, 500)
+    aircraft.low[0] = -0.04
+    aircraft.command = lambda: np.array([-0.1, 0.0, 0.0])
+    watch(found, aircraft, 200)
+    assert found.limited == 0
+    np.testing.assert_allclose(found.actuators[0, 0], -0.04, atol=0.001)
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.1)
+
+
 @pytest.mark.parametrize("at", [0.01, 0.26, -0.26])
 def test_a_jammed_surface_has_both_ends_at_one_place_or_is_dead(at):
     """Also where it ran away to, beyond all that can be commanded."""
@@ -53,7 +68,7 @@ def test_a_jammed_surface_has_both_ends_at_one_place_or_is_dead(at):
     watch(found, aircraft, 500)
     low, high = found.actuators[:2, 1]
     dead = found.limited is None and abs(found.believed[1]) < 0.15
-    assert dead or (found.limited == 1 and low == pytest.approx(at, abs=0.005) and low <= high < low + 0.01)
+    assert dead or (found.limited == 1 and low == pytest.approx(at, abs=Ranges.SURE) and low <= high < low + 0.01)
 
 
 @pytest.mark.parametrize("effect", [(-1.0, 1.0, 1.0), (1.0, -0.3, 1.0), (0.3, 1.0, 1.0), (-1.0, -1.0, 1.0)])
