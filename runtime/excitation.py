@@ -20,10 +20,10 @@ from task.state import ACTION, N_ACTION
 class Excitation:
     """Adds pulses to what the policy asks for, on a surface at its limit.
 
-    After an alarm where its lambda is unsure; and at any time where it is believed to do nothing, which costs nothing if
-    that is so. One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then nothing
-    for ``REST`` or ``REST_DEAD`` on that surface. Near the stall an elevator that is believed to hold the nose down is
-    left alone: with the centre of gravity far aft all of it is needed, and a pulse would take some away.
+    After an alarm where its lambda is unsure; and at any time where it is believed to do nothing, which costs nothing
+    if that is so. One surface at a time, since aileron and rudder move the same axes; ``excitation_time`` long, then
+    nothing for ``REST`` or ``REST_DEAD`` on that surface. Near the stall an elevator that is believed to hold the nose
+    down is left alone: with the centre of gravity far aft all of it is needed, and a pulse would take some away.
     """
 
     AT_LIMIT = 0.98
