@@ -10,6 +10,7 @@ import numpy as np
 from runtime.hypotheses import STRAIGHT
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import Airframe, Law, Positive, Row
+from runtime.laws.pace import Pace
 from runtime.laws.slip import BankHold
 from runtime.lowpass import LowPass
 from task.config import Settings
@@ -53,10 +54,10 @@ class INDI(Law):
     the nominal ones that are found in flight; without it B is fixed.
 
     A member of a cast is told what becomes of its commands (:meth:`match`): then u_f is the older command that acts, of
-    the surface that it moves, and the loops ask for no more than the delay lets them: ``REACH`` over it. And it is told
-    when a surface works the other way round (:meth:`inform`), until it has found that out itself. It is told how high
-    an angle of attack the elevator can hold (:meth:`limit_alpha`), and asks for no pitch rate that would go beyond it,
-    or beyond the one that it is made with:
+    the surface that it moves, and the loops ask for no more than that lets them (:mod:`runtime.laws.pace`). And it is
+    told when a surface works the other way round (:meth:`inform`), until it has found that out itself. It is told how
+    high an angle of attack the elevator can hold (:meth:`limit_alpha`), and asks for no pitch rate that would go beyond
+    it, or beyond the one that it is made with:
 
         q <= q_f - alpha_dot_f + PROTECTION (alpha_highest - alpha)
 
@@ -66,15 +67,8 @@ class INDI(Law):
     that from its reference (:mod:`runtime.laws.slip`).
     """
 
-    REACH = 0.5
-    """Largest gain of the rate loop times the delay of the commands [-]; an ideal loop would be lost at pi / 2."""
-    SWING = 0.017
-    """Of a surface whose rate is limited: such a limit counts as the delay that this takes [rad]."""
     LEAST, MOST = 0.1, 5.0
     """Bounds of the magnitude that is believed when told [-]: the law divides by it."""
-    CASCADE = 0.4
-    """Largest gain of an attitude loop over that of its rate loop, when commands are late [-]."""
-
     SLIP = 1.0
     """Largest gain of the sideslip loop while it rolls [1/s]: before the sideslip comes, the rudder rolls the other
     way."""
@@ -111,7 +105,7 @@ class INDI(Law):
         self._before_first, self._before_second = np.zeros(n), np.zeros(n)
         self._commands = [np.zeros(N_ACTION) for _ in range(3 + MAX_DELAY)]
         self._delay, self._order, self._rate = 0, STRAIGHT, math.inf
-        self._k_attitude, self._k_rate = gains.attitude, gains.rate
+        self._pace = Pace(gains.attitude, gains.rate, dt)
         self._ratio, self._cos_alpha, self._cos_phi = 1.0, 1.0, 1.0
         self._commanded = False
         self._told: list[float | None] = [None] * N_ACTION
@@ -132,7 +126,8 @@ class INDI(Law):
             self._bank.reset()
         self._highest, self._rate = self._alpha_limit, math.inf
         self._low, self._high = ACTION_LOW.tolist(), ACTION_HIGH.tolist()
-        self._match_gains(0, STRAIGHT)
+        self._delay, self._order = 0, STRAIGHT
+        self._pace.reset()
         if self.estimate is not None:
             self.estimate.reset()
 
@@ -150,14 +145,16 @@ class INDI(Law):
 
     def match(self, delay: int, order: tuple[int, int, int], rate: float = math.inf) -> None:
         """Take how late the commands act beyond the link's lag [samples], whose acts on which surface, and how fast."""
+        delay = min(delay, MAX_DELAY)
         if (delay, order, rate) == (self._delay, self._order, self._rate):
+            self._pace.follow(self._action.tolist(), self._commands[-1].tolist())
             return
         if order != self._order or rate != self._rate:  # what was learnt was learnt from what did not act
             self._samples = 0
             if self.estimate is not None:
                 self.estimate.reset()
-        self._rate = rate
-        self._match_gains(min(delay, MAX_DELAY), order)
+        self._delay, self._order, self._rate = delay, order, rate
+        self._pace.match(delay, rate)
 
     def inform(self, sure: Sequence[float | None]) -> None:
         """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law finds."""
@@ -195,18 +192,6 @@ class INDI(Law):
             for own, told in zip(self._own, self._told, strict=True)
         ]
 
-    def _match_gains(self, delay: int, order: tuple[int, int, int]) -> None:
-        """Keep both loops as slow as the delay asks for."""
-        self._delay, self._order = delay, order
-        k_theta, k_phi, k_beta = self._gains.attitude
-        late = delay * self._dt + self.SWING / self._rate
-        most = self.REACH / late if late else math.inf
-        k_p, k_q, k_r = (min(k, most) for k in self._gains.rate)
-        self._k_rate = k_p, k_q, k_r
-        self._k_attitude = self._gains.attitude if not late else (
-            min(k_theta, self.CASCADE * k_q), min(k_phi, self.CASCADE * k_p), min(k_beta, self.CASCADE * k_r)
-        )  # fmt: skip
-
     def steer(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Return the action (3,) [rad], within the limits of the task."""
         now, asked = x.tolist(), reference.tolist()
@@ -219,7 +204,7 @@ class INDI(Law):
         sin_phi, cos_phi = math.sin(phi), math.cos(phi)
         cos_alpha = math.cos(now[STATE.alpha])
         self._cos_alpha, self._cos_phi = cos_alpha, math.copysign(max(abs(cos_phi), 0.1), cos_phi)
-        k_theta, k_phi, k_beta = self._k_attitude
+        k_theta, k_phi, k_beta = self._pace.attitude
         turn = (q * sin_phi + r * cos_phi) * math.tan(theta)
         theta_rate = wanted[REFERENCE.theta] + k_theta * (asked[REFERENCE.theta] - theta)
         phi_rate = wanted[REFERENCE.phi] + k_phi * (asked[REFERENCE.phi] - phi)
@@ -240,7 +225,7 @@ class INDI(Law):
         missing = [
             k * (rate - measured) - acceleration
             for k, rate, measured, acceleration in zip(
-                self._k_rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
+                self._pace.rate, rates, (p, q, r), self._acceleration.tolist(), strict=True
             )
         ]
         self._allocate(missing, ratio)
@@ -379,7 +364,7 @@ class INDI(Law):
 
         wanted = np.zeros((3, N_MEMORY + N_SEEN))
         """Angular acceleration of p, q, r that is asked for."""
-        k_theta, k_phi, k_beta = self._k_attitude
+        k_theta, k_phi, k_beta = self._pace.attitude
         for row, state, column, k in (
             (0, STATE.phi, REFERENCE.phi, k_phi), (1, STATE.theta, REFERENCE.theta, k_theta),
         ):  # fmt: skip
@@ -391,7 +376,7 @@ class INDI(Law):
         wanted[2, beta] -= 1.0, k_beta, -k_beta
         wanted[2] /= self._cos_alpha
         wanted[2, x + STATE.r] -= 1.0
-        surfaces = inverse @ (np.array(self._k_rate)[:, None] * wanted) - passed[:3]
+        surfaces = inverse @ (np.array(self._pace.rate)[:, None] * wanted) - passed[:3]
         surfaces[:, one] += start
         maps[order] = surfaces
         return LinearLaw(maps, memory)
