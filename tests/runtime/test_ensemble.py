@@ -118,29 +118,35 @@ def test_late_commands_are_flown_by_an_indi_that_knows(name):
     assert len(unknown) < 3001 or nmae(tracking_error(unknown[1:], ROWS[:3000])) > 3.0 * error
 
 
-def test_slow_surfaces_are_flown_by_an_indi_that_knows():
-    rate = np.radians(4.0)
+def slow_flight(ticks, rows, knows):
+    """Fly an INDI whose surfaces move no faster than 4 deg/s from 5 s on, and that is told so or not."""
+    rate, acting = np.radians(4.0), [np.zeros(3)]
     slow = HEALTHY.copy()
     slow[ACTUATOR.rate] = rate
+
+    def slowed(tick, sent):
+        acting.append(limited(sent[-1], acting[-1], slow) if tick >= 500 else sent[-1])
+        return acting[-1]
+
+    def tell(tick, law):
+        law.match(0, STRAIGHT, rate if knows and tick >= 500 else np.inf)
+
+    return flight(make_law("indi-rls-signfree", SETTINGS), ticks, slowed, tell, hears=knows, rows=rows)
+
+
+def test_slow_surfaces_are_flown_by_an_indi_that_knows():
     rows = random_reference(np.random.default_rng(3), 30.0, 0.0, "aggressive")
     rows[:, REFERENCE.theta] += ROWS[0, REFERENCE.theta]
-
-    def fly(knows):
-        acting = [np.zeros(3)]
-
-        def slowed(tick, sent):
-            acting.append(limited(sent[-1], acting[-1], slow) if tick >= 500 else sent[-1])
-            return acting[-1]
-
-        def tell(tick, law):
-            law.match(0, STRAIGHT, rate if knows and tick >= 500 else np.inf)
-
-        return flight(make_law("indi-rls-signfree", SETTINGS), 2900, slowed, tell, hears=knows, rows=rows)
-
-    known, unknown = fly(True), fly(False)
+    known = slow_flight(2900, rows, True)
     assert len(known) == 2901
     assert nmae(tracking_error(known[1:], rows[:2900])) < 60.0
-    assert len(unknown) < 2901
+    assert len(slow_flight(2900, rows, False)) < 2901
+
+
+def test_slow_surfaces_do_not_slow_an_indi_that_asks_little_of_them():
+    error = [nmae(tracking_error(slow_flight(3000, ROWS, knows)[1000:], ROWS[999:3000])) for knows in (True, False)]
+    assert error[0] < 0.5
+    assert error[0] < 4.0 * error[1]
 
 
 def test_crossed_surfaces_are_flown_by_an_indi_that_knows():

@@ -1,5 +1,7 @@
 """The pieces of the laws: what they know, what they divide by, what they refuse."""
 
+import math
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -8,6 +10,7 @@ from runtime.cli import main
 from runtime.laws.catalogue import LAWS, SETTINGS, load_settings, load_solo, make_law
 from runtime.laws.effectiveness import MOTIONS, Effectiveness
 from runtime.laws.law import air_density, attitude_rates
+from runtime.laws.pace import Pace
 from runtime.laws.slip import BRAKE, CLOSING, HELD, OPENING, RETURN, ROLL, BankHold
 from sim_bridge.plant import NOMINAL, R1, R2, Plant
 from task.errors import UserError
@@ -227,3 +230,28 @@ def test_who_flies_must_be_said_once(arguments, line):
     result = CliRunner().invoke(main, arguments)
     assert isinstance(result.exception, UserError)
     assert line in str(result.exception)
+
+
+def test_late_commands_and_surfaces_far_behind_slow_the_loops_and_quiet_ones_let_them_go():
+    pace = Pace((3.0, 4.0, 2.0), (20.0, 15.0, 10.0), DT)
+    healthy = pace.attitude, pace.rate
+    assert healthy == ((3.0, 4.0, 2.0), (20.0, 15.0, 10.0))
+    pace.match(10, math.inf)
+    assert pace.rate == (5.0, 5.0, 5.0)
+    assert pace.attitude == (2.0, 2.0, 2.0)
+    # Of how far the surfaces are away nothing depends while they are quick.
+    pace.follow([0.1, 0.0, 0.0], [0.0, 0.0, 0.0])
+    assert pace.rate == (5.0, 5.0, 5.0)
+    rate = 0.05
+    pace.match(0, rate)
+    unseen = pace.rate
+    assert unseen == pytest.approx([Pace.REACH * 2.0 * rate / Pace.WAY] * 3)
+    pace.follow([0.0, 0.2, 0.0], [0.0, 0.0, 0.0])
+    assert pace.rate == unseen
+    for _ in range(round(20.0 / DT)):
+        pace.follow([0.01, 0.01, 0.01], [0.01, 0.01, 0.01])
+    assert (pace.attitude, pace.rate) == healthy
+    pace.follow([0.0, 0.01, 0.0], [0.0, -0.01, 0.0])
+    assert pace.rate == pytest.approx([Pace.REACH * 2.0 * rate / 0.02] * 3)
+    pace.reset()
+    assert (pace.attitude, pace.rate) == healthy
