@@ -72,7 +72,7 @@ class Ensemble:
         if found is None:
             return
         believed = found.hypotheses[found.evidence.believed]
-        sure = sure_signs(found)
+        sure, news = sure_signs(found), found.searching or found.slow
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
         ends = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
         seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
@@ -83,7 +83,7 @@ class Ensemble:
             law.match(believed.delay - self._foretold, believed.order, believed.rate)
             law.limit_alpha(highest, seen)
             law.limit_range(*ends)
-            law.inform(sure)
+            law.inform(sure, news)
 
     def sent(self, command: np.ndarray) -> None:
         """Take what was sent; a law is told what of it is believed to act."""

@@ -168,6 +168,11 @@ class Effectiveness:
         return self.hypotheses[self.evidence.believed].uncommanded
 
     @property
+    def slow(self) -> bool:
+        """Return whether surfaces are believed to move slowly."""
+        return self.hypotheses[self.evidence.believed].rate < math.inf
+
+    @property
     def mixing(self) -> np.ndarray:
         """Return the effect (3, 3) of each command (column) as elevator, aileron and rudder (row), as imagined."""
         limit = self.settings.effectiveness_limit

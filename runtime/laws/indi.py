@@ -110,6 +110,8 @@ class INDI(Law):
         self._commanded = False
         self._told: list[float | None] = [None] * N_ACTION
         """Effectiveness over nominal, where the law goes by what it was told [-]."""
+        self._sure = [1.0] * N_ACTION
+        """What was last known for sure of it [-]."""
         self._highest = self._alpha_limit = alpha_limit
         self._bank = BankHold(bank_error_limit, dt) if bank_error_limit < math.inf else None
         self._low: Sequence[float] = ACTION_LOW.tolist()
@@ -121,7 +123,7 @@ class INDI(Law):
         """Start a new flight: trim, nothing learnt."""
         super().reset()
         self._commanded = False
-        self._told = [None] * N_ACTION
+        self._told, self._sure = [None] * N_ACTION, [1.0] * N_ACTION
         if self._bank is not None:
             self._bank.reset()
         self._highest, self._rate = self._alpha_limit, math.inf
@@ -156,12 +158,21 @@ class INDI(Law):
         self._delay, self._order, self._rate = delay, order, rate
         self._pace.match(delay, rate)
 
-    def inform(self, sure: Sequence[float | None]) -> None:
-        """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law finds."""
-        self._told = [
-            found if found is not None and found * own < 0.0 else None
-            for found, own in zip(sure, self._own, strict=True)
-        ]
+    def inform(self, sure: Sequence[float | None], news: bool) -> None:
+        """Take what is known for sure of the surfaces; it counts where its sign is not the one that the law finds.
+
+        While there is news, or since the surface was last sure to be the other way round, until the two agree or nobody
+        is sure any more. Else the law is left to what it found itself: a surface that stands still is known for sure as
+        it was.
+        """
+        for surface, (found, own) in enumerate(zip(sure, self._own, strict=True)):
+            told = None
+            if found is not None:
+                turned = found * self._sure[surface] < 0.0
+                self._sure[surface] = found
+                if found * own < 0.0 and (news or turned or self._told[surface] is not None):
+                    told = found
+            self._told[surface] = told
 
     def limit_alpha(self, highest: float, seen: bool) -> None:
         """Take the highest angle of attack that the elevator can hold [rad], infinite for any.

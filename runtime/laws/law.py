@@ -91,10 +91,11 @@ class Law:
         rate: how fast surfaces move at most [rad/s], which :meth:`sent` has in its commands then.
         """
 
-    def inform(self, sure: Sequence[float | None]) -> None:
+    def inform(self, sure: Sequence[float | None], news: bool) -> None:
         """Take the effectiveness of elevator, aileron and rudder; a law that cannot use it ignores it.
 
-        sure: signed, over that of the healthy aircraft [-], None where the sign is not known for sure.
+        sure: signed, over that of the healthy aircraft [-], None where the sign is not known for sure; news: whether
+        what is known is worth more than what a law finds itself.
         """
 
     def limit_alpha(self, highest: float, seen: bool) -> None:
