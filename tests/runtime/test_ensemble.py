@@ -168,7 +168,7 @@ def reversed_elevator(tick, sent):
 
 def reversed_by_now(tick, law):
     if tick >= 515:  # a filter needs some samples
-        law.inform([-1.0, None, 1.0])
+        law.inform([-1.0, None, 1.0], tick < 700)
 
 
 def goes_by(law):
@@ -206,8 +206,22 @@ def test_what_counts_of_what_an_indi_is_told_is_a_sign_that_it_has_not_found():
         ([-0.9, None, 0.4], [-0.9, math.nan, 0.4]),
         ([None, None, None], [math.nan] * 3),
     ):
-        law.inform(sure)
+        law.inform(sure, True)
         np.testing.assert_array_equal(goes_by(law), expected)
+
+
+def test_without_news_an_indi_is_told_what_has_turned_round_and_not_what_is_known_as_it_was():
+    law = make_law("indi-rls-signfree", SETTINGS)
+    sure = [1.0, 1.0, 1.0]
+    for elevator in (1.0, None, -1.0, -0.8):
+        sure[ACTION.de] = elevator
+        law.inform(sure, False)
+    np.testing.assert_array_equal(goes_by(law), [-0.8, math.nan, math.nan])
+    # It finds the same itself; then the elevator is repaired, which only the law has seen.
+    for found in (-1.0, 1.0):
+        law.estimate.multipliers[ACTION.de] = found
+        law.inform(sure, False)
+        assert np.isnan(goes_by(law)).all()
 
 
 def test_the_imagination_is_told_of_a_law_as_it_was_told():
