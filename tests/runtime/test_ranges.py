@@ -81,6 +81,26 @@ def test_a_surface_that_works_otherwise_is_not_taken_for_one_that_stops_short(ef
     np.testing.assert_allclose(found.believed, effect, atol=0.3)
 
 
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+@pytest.mark.parametrize("other", [1, 2])
+def test_a_range_that_is_known_stays_known_when_another_surface_changes(noise, other):
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.low[0], aircraft.high[0] = -0.03, -0.01
+    watch(found, aircraft, 400)
+    assert found.limited == 0
+    aircraft.effect[other] = -1.0
+    assert watch(found, aircraft, 150)
+    assert found.limited == 0
+    np.testing.assert_allclose(found.actuators[:2, 0], (-0.03, -0.01), atol=0.001)
+    np.testing.assert_allclose(found.effectiveness, aircraft.effect, atol=0.2)
+    # Whole again: what was known is given up.
+    aircraft.low[0], aircraft.high[0] = -np.inf, np.inf
+    watch(found, aircraft, 400)
+    low, high = found.actuators[:2, 0]
+    assert found.limited is None or (low < -0.05 and high > 0.01)
+
+
 def test_ranges_are_looked_for_on_request_only():
     names = [h.limited for h in hypotheses(replace(SETTINGS, delays=(0.05,), rate_limits=(0.1,)), DT)]
     assert names == [None] * 7 + [0, 1, 2]
