@@ -8,11 +8,14 @@ from __future__ import annotations
 import math
 
 from runtime.structured import Effectiveness
+from task.actuators import ACTUATOR
 from task.limits import DEFLECTION_LIMIT
 from task.state import ACTION
 
 SIGNED, SIGNED_SD = 0.1, 3.0
 """A sign is known for sure when lambda is beyond the first by so many standard deviations [-]."""
+JAMMED = 0.01
+"""A surface with no more range than this does not move [rad]."""
 WORKS = 1.0
 """An elevator that pitches less than this holds nothing [rad/s2 per rad]; the healthy one at 90 m/s does 12.5."""
 NOSE_UP = math.radians(3.0)
@@ -29,10 +32,11 @@ the lower its nose is, and a limit that went on below would push the nose down w
 
 
 def sure_signs(found: Effectiveness) -> list[float | None]:
-    """Return lambda (3,), None where its sign is not known for sure; a surface that stops short has none."""
+    """Return lambda (3,), None where its sign is not known for sure; who is stuck has none."""
+    low, high = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
     return [
-        each if surface != found.limited and abs(each) - SIGNED_SD * sd > SIGNED else None
-        for surface, (each, sd) in enumerate(zip(found.effectiveness.tolist(), found.sd.tolist(), strict=True))
+        each if abs(each) - SIGNED_SD * sd > SIGNED and up - down > JAMMED else None
+        for each, sd, down, up in zip(found.effectiveness.tolist(), found.sd.tolist(), low, high, strict=True)
     ]
 
 

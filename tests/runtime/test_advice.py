@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from runtime.advice import ELEVATOR_FOR_ALPHA, NOSE_UP, STEEPEST, highest_alpha
+from runtime.advice import ELEVATOR_FOR_ALPHA, NOSE_UP, STEEPEST, highest_alpha, sure_signs
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.structured import Effectiveness
 from sim_bridge.faults import Icing
@@ -52,6 +52,20 @@ def test_what_is_left_of_the_elevator_is_what_the_angle_of_attack_may_grow_by():
     assert highest_alpha(Found(pitching=0.25), RESERVE) == pytest.approx(0.05 + math.radians(2.5) - 0.02)
     falling = Found(alpha=0.1, elevator=DEFLECTION_LIMIT, pitching=3.0)
     assert highest_alpha(falling, RESERVE) == pytest.approx(0.1 - STEEPEST)
+
+
+def test_a_surface_that_stops_short_is_known_to_work_the_way_it_did():
+    """A law that finds nothing at the limit may come to believe the contrary."""
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.effect[ACTION.da] = -1.0
+    watch(found, aircraft, 300)
+    aircraft.low[ACTION.da], aircraft.high[ACTION.da] = -0.015, 0.015
+    gentle = aircraft.command
+    aircraft.command = lambda: 2.5 * gentle()
+    watch(found, aircraft, 400)
+    assert found.limited == ACTION.da
+    np.testing.assert_allclose(sure_signs(found), (1.0, -1.0, 1.0), atol=0.1)
 
 
 def test_no_nose_is_held_down_without_end():
