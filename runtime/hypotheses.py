@@ -14,8 +14,6 @@ import numpy as np
 
 from runtime.config import Adaptation
 from task.actuators import ACTUATOR, HEALTHY, limited
-from task.limits import DT
-from task.rates import RATES
 from task.state import ACTION, N_ACTION
 
 STRAIGHT = (int(ACTION.de), int(ACTION.da), int(ACTION.dr))
@@ -146,17 +144,9 @@ class Evidence:
     ADHERENCE = 2.0
     """How many times ``needed`` it takes to give up a hypothesis that started behind: it explains with more freedom,
     for which each sample counts against it, and has made up for that once."""
-    LEAST = 0.3
-    """Innovations are taken to be no smaller than this share of what is expected, as variances [-]: what is left where
-    nothing disturbs is rounding."""
-    MOST = 3.0
-    """A sample counts as no more than this in their size [-]."""
-    RECENT = 0.1
-    """Time constant with which it is found [s]."""
 
-    def __init__(self, odds: list[float], memory: float, needed: float, needed_open: float, dt: float = DT) -> None:
+    def __init__(self, odds: list[float], memory: float, needed: float, needed_open: float) -> None:
         """``odds``: how far behind each hypothesis is when all are weighed anew [nats]."""
-        self._gain = dt / self.RECENT
         self._closed, self._open = (memory, needed, self.SAYS), (1.0, needed_open, self.SAYS_OPEN)
         self._odds = odds
         self.reset()
@@ -164,7 +154,6 @@ class Evidence:
     def reset(self) -> None:
         """Believe in the healthy aircraft; nothing seen."""
         self.believed = 0
-        self._scale = 1.0
         self.forget()
 
     def forget(self) -> None:
@@ -174,18 +163,6 @@ class Evidence:
         self.behind[self.believed] = 0.0
         self.best = self.believed
         self._held = 0
-
-    def calibrated(self, log_likelihood: list[float], nis: list[float], opened: bool) -> list[float]:
-        """Return the log-likelihoods; while open, for innovations as large as the believed filter's are of late.
-
-        log_likelihood, nis: of each filter, at least one for each hypothesis. Filters that expect more than there is,
-        as in still air with a good gyro, are all surprised by next to nothing; who expects the least would then be the
-        likeliest, and that is whoever takes his surfaces to be known, rightly or not. The likeliest filter's would be
-        too small: with enough freedom nothing surprises. What is forgotten adds up to no such lead.
-        """
-        self._scale += self._gain * (min(nis[self.believed] / RATES, self.MOST) - self._scale)
-        more = 0.5 / min(max(self._scale, self.LEAST), 1.0) - 0.5 if opened else 0.0
-        return [each - more * n for each, n, _ in zip(log_likelihood, nis, self._odds, strict=False)]
 
     def weigh(self, log_likelihood: list[float], opened: bool = False) -> bool:
         """Take each filter's log-likelihood of a sample; return whether another hypothesis is believed from now on."""

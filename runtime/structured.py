@@ -62,7 +62,7 @@ class Effectiveness:
         self._noise = ProcessNoise(settings, self._moving, self._limited, self._agile, dt)
         self.alarm = Alarm(settings, dt)
         odds = [0.0 if each.uncommanded is None else Uncommanded.ODDS for each in self.hypotheses]
-        self.evidence = Evidence(odds, settings.delay_memory, settings.delay_lead, settings.delay_lead_open, dt)
+        self.evidence = Evidence(odds, settings.delay_memory, settings.delay_lead, settings.delay_lead_open)
         limited = slice(self._limited, self._agile)
         self._reopening = Reopening(
             settings, self.filter, self.evidence, self._noise, self.ranges, self._motions, limited, dt
@@ -343,11 +343,10 @@ class Effectiveness:
             p, q, r = (1.0 if blind else each for blind, each in zip(self.stuck.blind, surprise, strict=True))
             surprise = p, q, r
         self.unrest.feel(surprise)
-        opening = self._reopening.opening
         # Between an alarm and the opening the filters stand for an aircraft that is no more.
-        if not self.unrest.known or opening.pending:
+        if not self.unrest.known or self._reopening.opening.pending:
             alarm.clear()
-        elif evidence.weigh(self._told(), opening.under_way and self.uncommanded is None):
+        elif evidence.weigh(self._told(), self._reopening.opening.under_way and self.uncommanded is None):
             self.alarmed = True
             alarm.clear()
             np.copyto(self.believed, self.effectiveness)
@@ -355,8 +354,7 @@ class Effectiveness:
 
     def _told(self) -> list[float]:
         """Return the log-likelihood of each hypothesis, as far as it has a say."""
-        opened = self._reopening.opening.under_way
-        told = self.evidence.calibrated(self.filter.log_likelihood, self.filter.nis, opened)
+        told = self.filter.log_likelihood[: self._agile]
         if self._motions:
             levels = [self.unrest.levels[axis] for axis in AXIS]
             self._motions.hear(told, self.uncommanded, levels if self._noise.opened else None)

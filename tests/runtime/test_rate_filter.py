@@ -88,22 +88,6 @@ def test_the_evidence_is_the_posterior_of_a_bank_of_models():
     assert evidence.best == int(np.argmax(estimator.p))
 
 
-@pytest.mark.parametrize(("calibrated", "believed"), [(True, 0), (False, 1)])
-def test_innovations_that_are_small_for_all_do_not_speak_for_who_is_surest(calibrated, believed):
-    """Two filters with the same innovations, of which both expect more than there is, and the first the most."""
-    rng, evidence, expected = np.random.default_rng(1), Evidence([0.0, 0.0], 1.0, 10.0, 10.0), np.array([1.5, 1.0])
-    for _ in range(400):
-        nis = np.sum(0.6 * rng.standard_normal(3) ** 2) / expected
-        told = (-0.5 * (nis + 3.0 * np.log(expected))).tolist()
-        evidence.weigh(evidence.calibrated(told, nis.tolist(), True) if calibrated else told)
-    assert evidence.believed == believed
-    assert evidence.calibrated(told, nis.tolist(), False) == told
-    # As large as expected, they count as they are.
-    for _ in range(100):
-        evidence.calibrated(told, [3.0, 4.5], True)
-    assert evidence.calibrated(told, [3.0, 4.5], True) == pytest.approx(told, abs=1e-3)
-
-
 def test_another_hypothesis_is_believed_after_a_lead_that_lasts_and_no_single_sample_decides():
     evidence = Evidence([0.0] * 3, 1.0, 10.0, 10.0)
     assert not evidence.weigh([0.0, 0.0, 1e6])
