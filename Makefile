@@ -79,7 +79,7 @@ verification: setup-dev ## The trainer on other environments, PIDs and aircraft 
 	$(BIN)/python -m bench.verification
 	$(BIN)/understudy train lunar_pderl
 	$(BIN)/understudy train lunar_ddpg
-	$(BIN)/python -m export.verification.archive --iterations 47
+	$(BIN)/python -m export.verification.archive --iterations 100
 	$(BIN)/python -m export.verification.measure
 
 sweep: setup-dev ## Search the thesis's ranges of hyperparameters; resumes
