@@ -29,10 +29,12 @@ class Opening:
     def reset(self) -> None:
         """Start a new flight: whatever there was is over."""
         self._since = max(self._closes_at + self._hold, self._watched_until)
+        self.again = False
+        """Whether the last alarm came before the filters had closed after the one before."""
 
     def begin(self) -> None:
         """Count from this sample's alarm on."""
-        self._since = 0
+        self.again, self._since = self.under_way, 0
 
     def step(self) -> None:
         """Go on by a sample."""

@@ -35,6 +35,8 @@ class Range:
         """All the range, and an effectiveness of one."""
         self.reach, self.variance, self.known = list(ALL), [0.0, 0.0], [False, False]
         """Least and greatest deflection that was reached [rad], their variances [UNIT2], and whether more is not."""
+        self.before: list[float | None] = [None, None]
+        """Ends that were known before the filters opened."""
         self.effectiveness = 1.0
         """lambda before the alarm, taken to hold within the range."""
         self.sought, self.held = False, False
@@ -91,18 +93,21 @@ class Ranges:
         for each in self.of:
             each.reset()
 
-    def open(self, u: list[float], effectiveness: list[float], known: int | None) -> None:
+    def open(self, u: list[float], effectiveness: list[float], believed: int | None, sure: bool) -> None:
         """Look anew for where each surface is.
 
-        u (3,): the commands that act [rad]; effectiveness (3,): as believed before; known: the surface whose ends are
-        believed, and stay where they are, or None.
+        u (3,): the commands that act [rad]; effectiveness (3,): as believed before; believed: the surface whose range
+        is believed to be limited, or None; sure: whether it was when the filters had closed. Its ends then stay where
+        they are, else of two that are known the one that it is not at.
         """
         for surface, (each, command) in enumerate(zip(self.of, u, strict=True)):
-            if surface == known:
+            if sure and surface == believed:
                 each.sought = False
                 self._put(surface, each.reach[each.end], max(each.variance[each.end], (self.SURE / self.UNIT) ** 2))
                 continue
+            known = [at if sure_of else None for at, sure_of in zip(each.reach, each.known, strict=True)]
             each.reset()
+            each.before = known if surface == believed else [None, None]
             works = effectiveness[surface]
             each.effectiveness = works if abs(works) >= self.WORKS else 1.0
             each.sought, each.last = True, command
@@ -152,6 +157,9 @@ class Ranges:
                 each.sought = False
                 each.end = HIGH if command > at else LOW
                 each.reach, each.variance = [at, at], [variance, variance]
+                far = each.before[1 - each.end]
+                if far is not None and (far < at if each.end == HIGH else far > at):
+                    each.reach[1 - each.end], each.known[1 - each.end] = far, True
             else:
                 limits = sorted((each.reach[each.end], command))
                 if not limits[0] <= at <= limits[1] and not each.known[each.end]:

@@ -131,18 +131,18 @@ class Reopening:
     def _look_for_ranges(self, ranges: Ranges, acting: np.ndarray, limited: int | None) -> None:
         """Open the filters that look for a range: nothing but it has changed.
 
-        limited: the surface that is believed to have lost some of its range, or None. If its ends are known, its filter
-        is right whatever has changed besides, and opens as all others do.
+        limited: the surface that is believed to have lost some of its range, or None. If its ends are known, and were
+        when the filters had closed, its filter is right whatever has changed besides, and opens as all others do.
         """
         f, rows = self._filters, self._limited
-        known = limited if limited is not None and ranges.of[limited].limited else None
+        sure = limited is not None and ranges.of[limited].limited and not self.opening.again
         works = self.past.long_ago[LAMBDA].tolist()
         for surface, each in enumerate(works):
-            if surface == known:
+            if sure and surface == limited:
                 continue
             row = rows.start + surface
             f.s[row, RATES:] = self.past.long_ago[RATES:]
             f.variances[row, LAMBDA], f.variances[row, SLOPES] = self._settings.effectiveness_sd**2, 0.0
             if abs(each) >= Ranges.WORKS:
                 f.variances[row, B] *= self.STEADY**2
-        ranges.open(acting.tolist(), works, known)
+        ranges.open(acting.tolist(), works, limited, sure)
