@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from runtime.hypotheses import hypotheses
+from runtime.opening import Opening
 from runtime.ranges import Ranges
 from runtime.structured import Effectiveness
 from task.actuators import HEALTHY
@@ -99,6 +100,25 @@ def test_a_range_that_is_known_stays_known_when_another_surface_changes(noise, o
     watch(found, aircraft, 400)
     low, high = found.actuators[:2, 0]
     assert found.limited is None or (low < -0.05 and high > 0.01)
+
+
+def test_a_range_is_known_once_the_filters_have_closed_since_it_was_found():
+    """What is believed for some samples may be wrong, and an open filter that keeps it explains whatever comes."""
+    opening = Opening(SETTINGS, DT)
+    for samples, again in ((10, False), (50, True), (300, True), (0, False)):
+        opening.begin()
+        assert opening.again == again
+        for _ in range(samples):
+            opening.step()
+    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    aircraft.low[0], aircraft.high[0] = -0.03, -0.01
+    watch(found, aircraft, 400)
+    elevator, command = found.ranges.of[0], [0.0] * 3
+    found.ranges.open(command, [1.0] * 3, 0, True)
+    assert (elevator.limited, elevator.sought) == (True, False)
+    found.ranges.open(command, [1.0] * 3, 0, False)
+    assert (elevator.limited, elevator.sought) == (False, True)
 
 
 def test_ranges_are_looked_for_on_request_only():
