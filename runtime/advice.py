@@ -6,9 +6,9 @@ Which surfaces are reversed, and up to which angle of attack the elevator still 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from runtime.structured import Effectiveness
-from task.actuators import ACTUATOR
 from task.limits import DEFLECTION_LIMIT
 from task.state import ACTION
 
@@ -31,9 +31,11 @@ LOWEST = 0.0
 the lower its nose is, and a limit that went on below would push the nose down without end."""
 
 
-def sure_signs(found: Effectiveness) -> list[float | None]:
-    """Return lambda (3,), None where its sign is not known for sure; who is stuck has none."""
-    low, high = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
+def sure_signs(found: Effectiveness, low: Sequence[float], high: Sequence[float]) -> list[float | None]:
+    """Return lambda (3,), None where its sign is not known for sure; a jammed surface has none.
+
+    low, high (3,): least and greatest deflection of each surface, as they are believed [rad].
+    """
     return [
         each if abs(each) - SIGNED_SD * sd > SIGNED and up - down > JAMMED else None
         for each, sd, down, up in zip(found.effectiveness.tolist(), found.sd.tolist(), low, high, strict=True)

@@ -72,9 +72,9 @@ class Ensemble:
         if found is None:
             return
         believed = found.hypotheses[found.evidence.believed]
-        sure, news = sure_signs(found), found.searching or found.slow
+        low, high = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
+        sure, news = sure_signs(found, low, high), found.searching or found.slow
         highest = highest_alpha(found, self._model.settings.elevator_reserve)
-        ends = found.actuators[[ACTUATOR.low, ACTUATOR.high]].tolist()
         seen = not found.stuck.signals[SIGNALS.index(STATE.alpha)]
         before, self._foretold = self._foretold, self._model.foretold
         for law in self._laws:
@@ -82,7 +82,7 @@ class Ensemble:
                 law.restart_history()
             law.match(believed.delay - self._foretold, believed.order, believed.rate)
             law.limit_alpha(highest, seen)
-            law.limit_range(*ends)
+            law.limit_range(low, high)
             law.inform(sure, news)
 
     def sent(self, command: np.ndarray) -> None:

@@ -97,15 +97,15 @@ class Ranges:
         """Look anew for where each surface is.
 
         u (3,): the commands that act [rad]; effectiveness (3,): as believed before; believed: the surface whose range
-        is believed to be limited, or None; sure: whether it was when the filters had closed. Its ends then stay where
-        they are, else of two that are known the one that it is not at.
+        is believed to be limited, or None; sure: whether the filters had closed before this alarm. Its ends then stay
+        where they are, else of two that are known the one that it is not at.
         """
         for surface, (each, command) in enumerate(zip(self.of, u, strict=True)):
             if sure and surface == believed:
                 each.sought = False
                 self._put(surface, each.reach[each.end], max(each.variance[each.end], (self.SURE / self.UNIT) ** 2))
                 continue
-            known = [at if sure_of else None for at, sure_of in zip(each.reach, each.known, strict=True)]
+            known = [at if told else None for at, told in zip(each.reach, each.known, strict=True)]
             each.reset()
             each.before = known if surface == believed else [None, None]
             works = effectiveness[surface]

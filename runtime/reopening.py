@@ -131,8 +131,8 @@ class Reopening:
     def _look_for_ranges(self, ranges: Ranges, acting: np.ndarray, limited: int | None) -> None:
         """Open the filters that look for a range: nothing but it has changed.
 
-        limited: the surface that is believed to have lost some of its range, or None. If its ends are known, and were
-        when the filters had closed, its filter is right whatever has changed besides, and opens as all others do.
+        limited: the surface that is believed to have lost some of its range, or None. If its ends are known, and the
+        filters had closed before this alarm, its filter is right whatever has changed besides, and opens as all others.
         """
         f, rows = self._filters, self._limited
         sure = limited is not None and ranges.of[limited].limited and not self.opening.again

@@ -151,7 +151,7 @@ def test_a_surface_that_does_nothing_is_imagined_to_do_nothing(noise):
     stuck = found.limited == 1 and np.abs(found.actuators[:2, 1]).max() < 0.003  # both ends at zero
     assert stuck or (found.believed[1] == 0.0 and found.effectiveness[1] != 0.0)
     assert found.believed[0] == pytest.approx(1.0, abs=0.2)
-    assert sure_signs(found)[1] is None
+    assert sure_signs(found, *found.actuators[:2])[1] is None
 
 
 def test_negative_angles_of_attack_are_doubted_unless_something_has_just_changed():
@@ -202,7 +202,7 @@ def test_what_is_imagined_does_not_follow_an_uncertain_estimate():
     assert found.sd[2] > 0.5
     assert found.believed[2] == pytest.approx(1.0, abs=0.1)
     assert found.believed[0] == pytest.approx(-1.0, abs=0.3)
-    elevator, aileron, rudder = sure_signs(found)
+    elevator, aileron, rudder = sure_signs(found, *found.actuators[:2])
     assert elevator == pytest.approx(-1.0, abs=0.3)
     assert aileron == pytest.approx(1.0, abs=0.3)
     assert rudder is None
