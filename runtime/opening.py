@@ -6,6 +6,7 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.rate_filter import LAMBDA, MOTION, N
+from task.state import N_ACTION
 
 
 class Opening:
@@ -97,15 +98,24 @@ class Recollection:
         self._ring = np.zeros((max(round(self.LONG_AGO / dt), self._back), N))
         self.recalled, self.long_ago = np.zeros(N), np.zeros(N)
         """State (11,) as it was ``recall`` and ``LONG_AGO`` before the last alarm."""
+        self.settled = np.ones(N_ACTION)
+        """lambda (3,) as it was before the last alarm that came in calm. What is believed between the alarms of a
+        series is mostly what they were raised for: it is wrong."""
+
+    def reset(self) -> None:
+        """Start a new flight, with a healthy aircraft."""
+        self.settled[:] = 1.0
 
     def before(self, sample: int) -> np.ndarray:
         """Return what was known ``recall`` before this sample (11,), a view; sample: counted from any start."""
         return self._ring[sample % len(self._ring) - self._back]
 
-    def recall(self, sample: int) -> None:
-        """Set aside what was known before this sample's alarm."""
+    def recall(self, sample: int, calm: bool) -> None:
+        """Set aside what was known before this sample's alarm; calm: whether nothing had changed lately."""
         np.copyto(self.recalled, self.before(sample))
         np.copyto(self.long_ago, self._ring[sample % len(self._ring)])
+        if calm:
+            np.copyto(self.settled, self.long_ago[LAMBDA])
 
     def keep(self, sample: int, state: np.ndarray, effectiveness: np.ndarray, moving: bool) -> None:
         """Keep this sample's state (11,), with lambda (3,) in place of its own.

@@ -52,6 +52,7 @@ class Reopening:
         self.start_anew(self._settings.effectiveness_sd)
         self._noise.opened = False
         self.opening.reset()
+        self.past.reset()
         self._refuted = False
         """Whether what an alarm was raised for is that no surface moves by itself as far as was believed."""
 
@@ -68,9 +69,9 @@ class Reopening:
 
     def begin(self, sample: int, believed: np.ndarray, refuted: bool) -> None:
         """Take it that this sample raised an alarm; believed (3,): lambda as it was imagined; refuted: as above."""
+        self.past.recall(sample, self.opening.calm)
         self.opening.begin()
         self._refuted = refuted
-        self.past.recall(sample)
         np.copyto(self._believed_before, believed)
 
     def step(self, w: list[float], blind: Sequence[bool], acting: np.ndarray, limited: int | None) -> None:
@@ -91,7 +92,7 @@ class Reopening:
             if self._ranges:
                 self._look_for_ranges(self._ranges, acting, limited)
             if self._motions:
-                self._motions.open(self.past.long_ago[LAMBDA])
+                self._motions.open(self.past.settled)
             self._noise.opened = True
             if self._refuted:
                 self._evidence.believed, self._refuted = 0, False
@@ -136,12 +137,13 @@ class Reopening:
         """
         f, rows = self._filters, self._limited
         sure = limited is not None and ranges.of[limited].limited and not self.opening.again
-        works = self.past.long_ago[LAMBDA].tolist()
+        works = self.past.settled.tolist()
         for surface, each in enumerate(works):
             if sure and surface == limited:
                 continue
             row = rows.start + surface
             f.s[row, RATES:] = self.past.long_ago[RATES:]
+            f.s[row, LAMBDA] = self.past.settled
             f.variances[row, LAMBDA], f.variances[row, SLOPES] = self._settings.effectiveness_sd**2, 0.0
             if abs(each) >= Ranges.WORKS:
                 f.variances[row, B] *= self.STEADY**2

@@ -79,7 +79,7 @@ class Uncommanded:
         self._mean[:] = self._away[:] = 0.0
 
     def open(self, effectiveness: np.ndarray) -> None:
-        """Look anew for how each surface moves; effectiveness (3,): as believed before."""
+        """Look anew for how each surface moves; effectiveness (3,): as settled before."""
         self.rest(effectiveness)
         self._filters.variances[self._rows, PLACES] = (self.FAR / UNIT) ** 2
         self._filters.variances[self._rows, MOTION] = (self.FAST / UNIT) ** 2

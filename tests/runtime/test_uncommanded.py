@@ -131,9 +131,38 @@ def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
     past, state = Recollection(SETTINGS, DT), np.arange(1.0, N + 1.0)
     for moving in (False, True):
         past.keep(0, state, np.ones(3), moving)
-        past.recall(0)
+        past.recall(0, True)
         expected = np.concatenate([state[:3], np.ones(3), state[6:MOTION], [0.0 if moving else state[MOTION]]])
         np.testing.assert_array_equal(past.long_ago, expected)
+
+
+def test_between_alarms_that_follow_one_another_nothing_is_settled():
+    past, works = Recollection(SETTINGS, DT), np.array([1.0, -1.0, 0.3])
+    np.testing.assert_array_equal(past.settled, 1.0)
+    for calm, found in ((True, works), (False, np.zeros(3))):
+        past.keep(0, np.zeros(N), found, False)
+        past.recall(0, calm)
+        np.testing.assert_array_equal(past.settled, works)
+    past.reset()
+    np.testing.assert_array_equal(past.settled, 1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.3e-4])
+def test_a_surface_whose_motion_was_countered_works_as_it_did_before_that(noise):
+    """Who counters the swing holds the sum of both at rest, as a dead surface does."""
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    aircraft.effect[0] = 0.7
+    watch(found, aircraft, 900)
+    aircraft.swing[0] = 0.035
+    gentle = aircraft.command
+    aircraft.command = lambda: gentle() * [0.0, 1.0, 1.0] - 0.8 * aircraft.moved()
+    watch(found, aircraft, 200)
+    assert (found.uncommanded, found.limited) == (None, None)
+    assert found.effectiveness[0] < 0.0
+    aircraft.command = gentle
+    assert watch(found, aircraft, 100)
+    assert found.uncommanded == 0
+    assert found.effectiveness[0] == pytest.approx(0.7, abs=0.1)
 
 
 def test_they_are_looked_for_on_request_only():
