@@ -56,7 +56,7 @@ class Alarm:
         """
         settings = self._settings
         self._newest = (self._newest + 1) % self.WINDOW
-        self._nis[self._newest] = min(nis, self.BEYOND)
+        self._nis[self._newest] = nis if nis < self.BEYOND else self.BEYOND
         colour = 1.0 + settings.alarm_colour * math.log(max(levels))
         moved = any(lead > colour * need for lead, need in zip(self.leads, settings.agile_lead, strict=True))
         self._led = self._led + 1 if moved else 0

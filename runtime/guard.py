@@ -27,6 +27,8 @@ class Health:
     """The last good command is held, or fades to trim."""
     GAP = 64
     """Samples are missing before this one."""
+    DEFECT = 128
+    """The runtime itself failed at this sample: what was learnt is forgotten."""
 
 
 UNUSABLE = Health.STATE_NOT_FINITE | Health.STATE_IMPLAUSIBLE
@@ -40,6 +42,7 @@ MEANING = {
     Health.ACTION_LIMITED: "the policy's command was beyond the limits",
     Health.HOLDING: "holding the last good command, then trim",
     Health.GAP: "samples are missing",
+    Health.DEFECT: "the runtime failed, and learns anew",
 }
 """Flag: in words."""
 
@@ -48,11 +51,17 @@ NAMES = {flag: name.lower() for name, flag in vars(Health).items() if name.isupp
 
 PLAUSIBLE = np.full(N_STATE, np.finfo(float).max)
 """Largest absolute value of each state that is believed, in SI units: rates 20 rad/s, 1000 m/s, angles within a turn,
-altitude 50 km. Far outside any flight: it catches units and garbage, not manoeuvres."""
+altitude 50 km. Far outside any flight: it catches units and garbage, not manoeuvres.
+Heading and position have no bound: a heading may count the turns that were flown."""
 PLAUSIBLE[[STATE.p, STATE.q, STATE.r]] = 20.0
 PLAUSIBLE[STATE.V] = 1000.0
-PLAUSIBLE[[STATE.alpha, STATE.beta, STATE.phi, STATE.theta, STATE.psi]] = 2.0 * np.pi
+PLAUSIBLE[[STATE.alpha, STATE.beta, STATE.phi, STATE.theta]] = 2.0 * np.pi
 PLAUSIBLE[STATE.h] = 5e4
+
+
+def plausible(x: np.ndarray) -> bool:
+    """Return whether the first states (N,) are what any aircraft may be in, and finite."""
+    return bool((np.abs(x) <= PLAUSIBLE[: len(x)]).all())
 
 
 class Guard:

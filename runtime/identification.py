@@ -11,6 +11,7 @@ import numpy as np
 
 from runtime.config import Adaptation
 from runtime.foretelling import foretell
+from runtime.guard import plausible
 from runtime.history import CommandHistory
 from runtime.lowpass import LowPass
 from runtime.structured import Effectiveness
@@ -36,9 +37,9 @@ class RecursiveLeastSquares:
     Shapes: z (n,), y (m,), ``Theta`` (n, m) (eq. 8.4), ``P`` (n, n), ``innovation`` (m,) (eq. 8.7).
 
     P stays symmetric to the last bit, because eq. 8.6 subtracts v v' with v = P z / sqrt(kappa + z' P z). Against
-    blow-up: forgetting is suspended while trace(P) is above ``trace_limit``; an update whose denominator is not
-    positive and finite, or whose innovation is not finite, is skipped and counted; a P that is no longer finite starts
-    the recursion again from its prior, counted too.
+    blow-up: forgetting is suspended while trace(P) is above ``trace_limit``; an update whose denominator or innovation
+    is not finite is skipped and counted; a P that is no longer finite and positive starts the recursion again from its
+    prior, counted too.
     """
 
     def __init__(self, theta0: np.ndarray, p0: np.ndarray, kappa: float, trace_limit: float = np.inf) -> None:
@@ -84,11 +85,11 @@ class RecursiveLeastSquares:
         denominator = self.kappa + float(np.dot(z, self._Pz))
         surprise = float(np.dot(self.innovation, self._ones_m))
         trace = self.trace
-        if not -np.inf < trace < np.inf:
+        if not 0.0 < trace < np.inf or denominator <= 0.0:  # no later update would mend it
             self.reset()
             self.restarts += 1
             return
-        if not (0.0 < denominator < np.inf and -np.inf < surprise < np.inf):
+        if not (denominator < np.inf and -np.inf < surprise < np.inf):
             self.skipped += 1
             return
         np.divide(self._Pz, denominator, out=self._v)
@@ -130,6 +131,9 @@ class IncrementalModel:
     ``theta0``, ``p0`` and ``learnt_at``: the population's prior, and the flight condition that it is of.
     """
 
+    BRIDGED = 10
+    """Longest gap through which the last command is taken to have been held [samples]."""
+
     def __init__(
         self,
         settings: Adaptation,
@@ -154,6 +158,7 @@ class IncrementalModel:
         self.rls = RecursiveLeastSquares(theta0, p0, settings.kappa, settings.p_growth_limit * float(np.trace(p0)))
         self._commands = np.zeros((command_lag + 2, N_ACTION))
         self._slots = list(self._commands)
+        self._states = self._sent = 0
         self._x = np.zeros(N_IDENTIFIED)
         self._moved = np.zeros(N_REGRESSORS)
         """The increment of the state, and that of the command which moved it."""
@@ -208,16 +213,26 @@ class IncrementalModel:
             self.effectiveness.reset()
         self.restart_history()
 
-    def restart_history(self) -> None:
-        """Forget the last samples, not the model: the next increments would span a gap."""
+    def restart_history(self, missed: int | None = None) -> None:
+        """Forget the last states, not the model: the next increments would span a gap.
+
+        missed: samples that are missing in the gap. Through a short one the last command was held, and what acts by
+        now is known; through a longer one, or None, the commands are forgotten too.
+        """
         self._states = 0
-        self._sent = 0
-        self._history.restart()
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
+        bridged = missed is not None and missed <= self.BRIDGED and self._sent > 0
+        if bridged:
+            held = self._slots[-1].copy()
+            for _ in range(missed or 0):
+                self.command(held)
+        else:
+            self._sent = 0
+            self._history.restart()
         if self.effectiveness is not None:
-            self.effectiveness.restart_history()
+            self.effectiveness.restart_history(commands_known=bridged)
 
     @property
     def alarmed(self) -> bool:
@@ -308,7 +323,7 @@ class IncrementalModel:
             if ahead := self.foretold:
                 then = foretell(x, dx, commands, ahead, self.command_lag, model, self.exact_kinematics, self._dt)
                 then = then[0].astype(np.float32), then[1].astype(np.float32)
-                if np.isfinite(then).all():
+                if plausible(then[0]) and np.isfinite(then[1]).all():
                     (x, dx), delay = then, delay - ahead
             actuators = self.effectiveness.actuators
             if not delay:

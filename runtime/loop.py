@@ -6,7 +6,9 @@ import time
 from array import array
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from runtime.policy import Policy
 from runtime.recorder import Recorder
 from runtime.reference import Reference
 from runtime.switching import Action, Cast
+from task.state import N_REFERENCE
 
 
 class Outcome(StrEnum):
@@ -32,6 +35,15 @@ class Outcome(StrEnum):
     SILENT = "silent"
     STOPPED = "stopped"
     REPLACED = "replaced"
+
+
+class Answer(NamedTuple):
+    """What a cycle answers to a state."""
+
+    command: np.ndarray
+    reference: np.ndarray
+    health: int
+    played: Played | None = None
 
 
 class Loop:
@@ -106,45 +118,70 @@ class Loop:
     def cycle(self, sample: Sample) -> None:
         """Answer one state: read, identify, decide, act, write."""
         began = time.perf_counter_ns()
-        x, tick, t = sample.x, self.tick(sample), 1e-6 * (sample.time_usec - self._zero_usec)
-        reference = self.reference.at(t)
-        health, played = self.check(sample), None
-        if health & UNUSABLE and not self.guard.has_command:
-            self.report(sample, health)
+        try:
+            answer = self.answer(sample)
+        except Exception as error:  # whatever it is, the aircraft needs a command
+            answer = self.recover(sample, error)
+        if answer.health & (UNUSABLE | Health.DEFECT) and not self.guard.has_command:
+            self.report(sample, answer.health)
+            self.last = sample
             return
-        if health & UNUSABLE:
-            self.restart_histories()
-            command, why = self.guard.fallback()
-        else:
-            self.model.observe(x)
-            played = self.plays.step(tick, t)
-            if played is not None:
-                self.cast.take(played.decision)
-            self.cast.step()
-            action = self.policy.steer(self.model.answered(x), reference)
-            command, why = self.guard.command(self.excitation.add(action))
-        self.link.write(command, sample.time_usec)
+        self.link.write(answer.command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
-        self.model.command(command)
-        self.policy.sent(command)
         self.clock.arrived()
-        self.account(sample, tick, reference, command, health | why, played)
+        try:
+            self.model.command(answer.command)
+            self.policy.sent(answer.command)
+            self.account(sample, answer)
+        except Exception as error:
+            self.recover(sample, error)
+            self.health_counts[NAMES[Health.DEFECT]] += 1
+        self.cycles += 1
+        self.last = sample
         self.overruns += time.perf_counter_ns() - began > 1000 * self._dt_us
+
+    def answer(self, sample: Sample) -> Answer:
+        """Return what to send for a state that has come."""
+        x, t = sample.x, 1e-6 * (sample.time_usec - self._zero_usec)
+        reference, health = self.reference.at(t), self.check(sample)
+        if health & UNUSABLE:
+            self.restart_histories(missed=0)
+            command, why = self.guard.fallback()
+            return Answer(command, reference, health | why)
+        self.model.observe(x)
+        played = self.plays.step(self.tick(sample), t)
+        if played is not None:
+            self.cast.take(played.decision)
+        self.cast.step()
+        action = self.policy.steer(self.model.answered(x), reference)
+        command, why = self.guard.command(self.excitation.add(action))
+        return Answer(command, reference, health | why, played)
+
+    def recover(self, sample: Sample, error: Exception) -> Answer:
+        """Go on after a defect of the runtime: say it, forget what was learnt, hold the last good command."""
+        if not self.health_counts[NAMES[Health.DEFECT]]:
+            with suppress(Exception):  # it may be what failed
+                self.say(sample, Severity.CRITICAL, f"the runtime failed: {type(error).__name__}: {error}")
+        self.model.reset()
+        self.policy.restart_history()
+        command, why = self.guard.fallback()
+        return Answer(command, np.zeros(N_REFERENCE), why | Health.DEFECT)
 
     def tick(self, sample: Sample) -> int:
         """Return how many samples after the first one this is."""
         return round((sample.time_usec - self.first.time_usec) / self._dt_us)
 
-    def restart_histories(self) -> None:
-        """Forget the samples before a gap, not what was learnt from them."""
-        self.model.restart_history()
+    def restart_histories(self, missed: int) -> None:
+        """Forget the samples before a gap of ``missed`` samples, not what was learnt from them."""
+        self.model.restart_history(missed)
         self.policy.restart_history()
 
     def check(self, sample: Sample) -> int:
         """Return what is wrong with a state; across a gap no increment is formed."""
         health = self.guard.check_state(sample.x)
-        if sample is not self.first and abs(sample.time_usec - self.last.time_usec - self._dt_us) > self._dt_us // 4:
-            self.restart_histories()
+        step = sample.time_usec - self.last.time_usec
+        if sample is not self.first and not self._dt_us < 2 * step < 3 * self._dt_us:
+            self.restart_histories(missed=max(round(step / self._dt_us) - 1, 0))
             self.gaps += 1
             health |= Health.GAP
         return health
@@ -159,18 +196,11 @@ class Loop:
         self.link.write(command, self.last.time_usec)
         self.report(self.last, Health.STATE_MISSING)
 
-    def account(
-        self,
-        sample: Sample,
-        tick: int,
-        reference: np.ndarray,
-        command: np.ndarray,
-        health: int,
-        played: Played | None,
-    ) -> None:
+    def account(self, sample: Sample, answer: Answer) -> None:
         """Record and count what the cycle did, and say what is worth a line."""
+        command, reference, health, played = answer
         time_usec, rls, cast = sample.time_usec, self.model.rls, self.cast
-        self.recorder.cycle(time_usec, tick, sample.x, command, reference, cast.blend, cast.flying, health)
+        self.recorder.cycle(time_usec, self.tick(sample), sample.x, command, reference, cast.blend, cast.flying, health)
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
         if self.model.effectiveness is not None:
             self.recorder.effectiveness(time_usec, self.model.effectiveness, self.excitation.surface)
@@ -185,8 +215,6 @@ class Loop:
                 self.say(sample, Severity.INFO, played.describe(self.members))
         if health:
             self.report(sample, health)
-        self.cycles += 1
-        self.last = sample
 
     def report(self, sample: Sample, health: int) -> None:
         """Count the flags that are up, and say those that were not said lately."""

@@ -96,6 +96,8 @@ class Recollection:
     def __init__(self, settings: Adaptation, dt: float) -> None:
         self._back = max(round(settings.recall / dt), 1)
         self._ring = np.zeros((max(round(self.LONG_AGO / dt), self._back), N))
+        self._kept = 0
+        """Samples since the flight began, those that are missing left out: a gap lasts for none."""
         self.recalled, self.long_ago = np.zeros(N), np.zeros(N)
         """State (11,) as it was ``recall`` and ``LONG_AGO`` before the last alarm."""
         self.settled = np.ones(N_ACTION)
@@ -104,25 +106,27 @@ class Recollection:
 
     def reset(self) -> None:
         """Start a new flight, with a healthy aircraft."""
-        self.settled[:] = 1.0
+        self._ring[:] = 0.0
+        self._ring[:, LAMBDA] = self.settled[:] = 1.0
 
-    def before(self, sample: int) -> np.ndarray:
-        """Return what was known ``recall`` before this sample (11,), a view; sample: counted from any start."""
-        return self._ring[sample % len(self._ring) - self._back]
+    def before(self) -> np.ndarray:
+        """Return what was known ``recall`` before this sample (11,), a view."""
+        return self._ring[self._kept % len(self._ring) - self._back]
 
-    def recall(self, sample: int, calm: bool) -> None:
+    def recall(self, calm: bool) -> None:
         """Set aside what was known before this sample's alarm; calm: whether nothing had changed lately."""
-        np.copyto(self.recalled, self.before(sample))
-        np.copyto(self.long_ago, self._ring[sample % len(self._ring)])
+        np.copyto(self.recalled, self.before())
+        np.copyto(self.long_ago, self._ring[self._kept % len(self._ring)])
         if calm:
             np.copyto(self.settled, self.long_ago[LAMBDA])
 
-    def keep(self, sample: int, state: np.ndarray, effectiveness: np.ndarray, moving: bool) -> None:
-        """Keep this sample's state (11,), with lambda (3,) in place of its own.
+    def keep(self, state: np.ndarray, effectiveness: np.ndarray, moving: bool) -> None:
+        """Keep this sample's state (11,), with lambda (3,) in place of its own; the next sample comes.
 
         moving: whether one of its slopes is how fast a surface moves by itself.
         """
-        now = self._ring[sample % len(self._ring)]
+        now = self._ring[self._kept % len(self._ring)]
+        self._kept += 1
         np.copyto(now, state)
         now[LAMBDA] = effectiveness
         if moving:

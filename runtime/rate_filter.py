@@ -43,6 +43,9 @@ class RateFilters:
     (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
     """
 
+    BEYOND = 1e3
+    """No rate [rad/s], lambda or bias [rad/s2] of an aircraft, and no standard deviation, is as large as this."""
+
     def __init__(self, model: RateModel, size: int, dt: float = DT) -> None:
         self.dt = dt
         self._drift = dt * np.ascontiguousarray(model.drift)
@@ -118,6 +121,11 @@ class RateFilters:
             self.F_rates[self.moving[0], 2, MOTION] = 0.0
         if known is not None:
             np.matmul(known, self._effects_transposed, out=self.known_step)
+
+    @property
+    def sound(self) -> bool:
+        """Whether every filter's state and variances are within what an aircraft can have."""
+        return bool(self.s.max() < self.BEYOND > -self.s.min() and self.variances.max() < self.BEYOND**2)
 
     def effect(self, axis: int, surface: int) -> float:
         """Return the acceleration of p, q or r by a healthy surface, as last linearised [rad/s2 per rad]."""

@@ -28,6 +28,8 @@ class Reopening:
 
     STEADY = 0.1
     """Of the doubt about the bias when the filters open, where only a range is looked for."""
+    WILDEST = 10.0
+    """No filter opens with a lambda beyond this: it was learnt from what was no measurement."""
 
     def __init__(
         self,
@@ -67,9 +69,9 @@ class Reopening:
         if self._ranges:
             self._ranges.reset()
 
-    def begin(self, sample: int, believed: np.ndarray, refuted: bool) -> None:
+    def begin(self, believed: np.ndarray, refuted: bool) -> None:
         """Take it that this sample raised an alarm; believed (3,): lambda as it was imagined; refuted: as above."""
-        self.past.recall(sample, self.opening.calm)
+        self.past.recall(self.opening.calm)
         self.opening.begin()
         self._refuted = refuted
         np.copyto(self._believed_before, believed)
@@ -85,6 +87,7 @@ class Reopening:
         if self.opening.opens:
             f.s[:] = self.past.recalled
             f.s[:, W] = w
+            np.clip(f.s[:, LAMBDA], -self.WILDEST, self.WILDEST, out=f.s[:, LAMBDA])
             self._spread(settings.effectiveness_sd_open, settings.open_slopes)
             for surface, axis in enumerate(AXIS):
                 if blind[axis]:
@@ -102,7 +105,7 @@ class Reopening:
             if self._ranges:
                 self._ranges.close()
 
-    def undo(self, sample: int, believed: np.ndarray) -> None:
+    def undo(self, believed: np.ndarray) -> None:
         """Forget what was learnt of late, and the opening that it may have asked for; believed (3,): as imagined."""
         f = self._filters
         now = f.s[:, W].copy()
@@ -113,7 +116,7 @@ class Reopening:
                 self._noise.opened = False
             self.opening.cut_short()
         else:
-            f.s[:] = self.past.before(sample)
+            f.s[:] = self.past.before()
         f.s[:, W] = now
         if self._motions:
             self._motions.rest(self._motions.effectiveness)

@@ -71,6 +71,7 @@ class Effectiveness:
         self.stuck = Stuck(dt)
         self.increment = np.zeros(RATES)
         """What the model makes of the last increment of the rates (3,) [rad/s]: free of the sensors' noise."""
+        self._x: list[float] = []
         self.believed = np.ones(N_ACTION)
         """lambda (3,) as it is imagined: what was believed before, moved only as far as ``belief_sd`` standard
         deviations of what is estimated now ask for."""
@@ -84,17 +85,21 @@ class Effectiveness:
         self.believed[:] = 1.0
         self.alarm.shift.restart([0.0] * RATES)
         self.alarm.clear()
+        self.stuck.reset()
         self.alarms = self.restarts = 0
+        self._low_passed = 0.0
         self.restart_history()
 
-    def restart_history(self) -> None:
-        """Forget the last samples, not what was learnt: the next ones follow a gap."""
+    def restart_history(self, commands_known: bool = False) -> None:
+        """Forget the last states, not what was learnt: the next ones follow a gap.
+
+        commands_known: whether :meth:`command` has been told of all commands, those in the gap included.
+        """
         self._states = 0
-        self._low_passed = 0.0
         self._noise.restart()
-        self._inputs.restart()
+        if not commands_known:
+            self._inputs.restart()
         self.alarm.restart()
-        self.stuck.reset()
         self.alarmed = False
         """True at the sample at which an alarm was raised."""
         self.increment[:] = 0.0
@@ -217,14 +222,15 @@ class Effectiveness:
         self.alarmed = False
         if self._states and self._inputs.known:
             self._predict()
-            self.unrest.hear(w)
-            f.r[:] = self.unrest.noise_variance
-            if self.stuck.look(state, self.increment.tolist(), math.sqrt(self.unrest.noise_variance)):
-                self._reopening.undo(self._states, self.believed)
+            self.unrest.hear(w, turning(self._x, state, w, self._dt))
+            f.r[:] = self.unrest.variances
+            stuck = self.stuck.look(state, self.increment.tolist(), math.sqrt(self.unrest.noise_variance))
+            if stuck or self.unrest.broke:
+                self._reopening.undo(self.believed)
                 self.alarm.forget_surprise()
             if self.stuck.any:
                 w = self._unstick(state)
-            if f.update(w):
+            if f.update(w) and f.sound:
                 if self.ranges:
                     self.ranges.learn(self._inputs.u[0].tolist())
                 if self._motions:
@@ -238,12 +244,14 @@ class Effectiveness:
                 f.s[:, W] = w
             self._model_increment()
         else:
-            f.s[:, W] = x[W]
+            for axis, stuck in enumerate(self.stuck.signals[:RATES]):
+                if not stuck:
+                    f.s[:, axis] = state[axis]
             f.P[:, W] = 0.0
             f.P[:, :, W] = 0.0
             f.variances[:, W] = self.settings.open_rate**2
             if self._states == 0:
-                self._low_passed = state[STATE.r]
+                self._low_passed = f.s.item(self.evidence.believed, STATE.r)
             self.unrest.restart(w)
         self._x = state
         self._states += 1
@@ -288,7 +296,7 @@ class Effectiveness:
 
     def mended(self, x: np.ndarray) -> np.ndarray:
         """Return the state (>= 10,) with the filter's rates in place of those that are stuck."""
-        if not self.stuck.any or not self.known:
+        if not self.stuck.any:
             return x
         x = x.copy()
         for axis, stuck in enumerate(self.stuck.signals[:RATES]):
@@ -398,9 +406,9 @@ class Effectiveness:
             self.alarmed = True
             self.alarms += 1
             alarm.clear()
-            self._reopening.begin(self._states, self.believed, refuted)
+            self._reopening.begin(self.believed, refuted)
         moving = self.uncommanded is not None
-        self._reopening.past.keep(self._states, f.s[self.evidence.believed], self.effectiveness, moving)
+        self._reopening.past.keep(f.s[self.evidence.believed], self.effectiveness, moving)
 
     def _unstick(self, x: list[float]) -> list[float]:
         """Return the rates (3,) [rad/s] with the attitude's in place of those that are stuck."""

@@ -59,6 +59,7 @@ def test_without_a_state_the_last_command_is_held_then_fades_to_trim():
         (STATE.theta, 60.0, Health.STATE_IMPLAUSIBLE),
         (STATE.h, 1e6, Health.STATE_IMPLAUSIBLE),
         (STATE.ye, 1e7, Health.OK),
+        (STATE.psi, 40.0, Health.OK),
         (STATE.p, -5.0, Health.OK),
     ],
 )

@@ -68,6 +68,19 @@ def test_what_is_not_finite_is_skipped_and_counted():
     assert np.array_equal(rls.Theta, theta)
 
 
+def test_a_recursion_whose_covariance_is_none_starts_again_from_its_prior():
+    """Every later update would be skipped, or make it worse."""
+    rls, rng = RecursiveLeastSquares(np.full((3, 1), 0.5), np.eye(3), 0.99), np.random.default_rng(0)
+    for broken in (np.diag([1.0, 1.0, -30.0]), np.diag([1.0, 1.0, -1.0])):
+        rls.P[:] = broken
+        for _ in range(300):
+            z = rng.standard_normal(3)
+            rls.update(z, z @ np.full((3, 1), 2.0))
+        np.testing.assert_allclose(rls.Theta, 2.0, atol=0.01)
+        assert np.linalg.eigvalsh(rls.P).min() > 0.0
+    assert rls.restarts == 2
+
+
 def test_a_recursion_that_blew_up_starts_again_from_its_prior():
     rls = RecursiveLeastSquares(np.full((3, 1), 0.5), np.eye(3), 0.01)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -213,9 +213,43 @@ def test_a_gap_restarts_the_increments_and_not_the_model(cast, plant_link, tmp_p
     (flown,) = fly(Gap(600), cast, tmp_path / "f.ulg")
     assert flown.summary.gaps == 1
     assert flown.summary.health["gap"] == 1
-    assert flown.summary.updates == 595 - 3 - 3
+    assert flown.summary.updates == 595 - 3 - 2  # the commands through the gap are known: the last one was held
     ticks = list(topics(tmp_path / "f.ulg")["cycle"]["tick"])
     assert ticks == [*range(300), *range(305, 600)]
+
+
+def test_a_clock_that_jitters_leaves_no_gap(cast, plant_link, tmp_path):
+    class Jitter(plant_link):
+        def read(self, timeout):
+            sample = super().read(timeout)
+            return sample and sample._replace(time_usec=sample.time_usec + (-1) ** self.tick * 2_000)
+
+        def write(self, action, time_usec):
+            super().write(action, self.tick * 10_000)
+
+    (flown,) = fly(Jitter(300), cast, tmp_path / "f.ulg")
+    assert flown.summary.gaps == 0
+
+
+@pytest.mark.parametrize("where", ["observe", "command"])
+def test_a_defect_of_the_runtime_leaves_the_aircraft_a_command(cast, plant_link, tmp_path, monkeypatch, where):
+    link, lines, well = plant_link(600), [], getattr(IncrementalModel, where)
+
+    def fails(model, given):
+        if 300 <= link.tick < 305:
+            raise OverflowError("too large")
+        return well(model, given)
+
+    monkeypatch.setattr(IncrementalModel, where, fails)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", say=lines.append)
+    assert flown.outcome is Outcome.OVER
+    assert flown.summary.health["defect"] == 5
+    assert len(link.sent) == 600
+    assert np.abs(link.sent).max() <= DEFLECTION_LIMIT
+    assert len([line for line in lines if "the runtime failed: OverflowError: too large" in line]) == 1
+    if where == "observe":
+        np.testing.assert_array_equal(link.sent[300:305], [link.sent[299]] * 5)
+    assert flown.summary.updates > 280  # counted from the defect on
 
 
 def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):

@@ -6,6 +6,7 @@ import pytest
 
 from runtime.advice import sure_signs
 from runtime.config import Adaptation
+from runtime.guard import PLAUSIBLE
 from runtime.identification import IncrementalModel
 from runtime.presets import PRESETS, resolve
 from runtime.rate_filter import ALPHA_MID, SLOPES
@@ -17,7 +18,7 @@ from task.limits import DT
 from task.model import N_REGRESSORS
 from task.rates import SIDESLIP, dynamic_pressure
 from task.state import N_IDENTIFIED, STATE
-from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, state, watch
+from tests.runtime.rate_aircraft import MODEL, SETTINGS, Aircraft, watch
 
 
 @pytest.mark.parametrize("noise", [0.0, 6.3e-4])
@@ -208,19 +209,94 @@ def test_what_is_imagined_does_not_follow_an_uncertain_estimate():
     assert rudder is None
 
 
-def test_a_state_of_numbers_beyond_reason_does_not_raise_and_is_recovered_from():
-    aircraft, found = Aircraft(), Effectiveness(SETTINGS, MODEL, 1)
-    watch(found, aircraft, 300)
+def test_garbage_that_an_aircraft_might_just_be_in_is_recovered_from():
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 500)
+    rng, most = np.random.default_rng(1), PLAUSIBLE[:N_IDENTIFIED].clip(max=5e4)
     with np.errstate(all="ignore"):
-        for value in (0.0, 1e300, np.inf, np.nan):
-            found.observe(state((value, value, value), V=value))
+        for _ in range(200):
+            found.observe(rng.uniform(-most, most))
             found.command(np.zeros(3))
-    found.restart_history()
+        found.restart_history()
+        watch(found, aircraft, 500)
+        restarts = found.restarts
+        watch(found, aircraft, 500)
+    assert restarts > 0
+    assert found.restarts == restarts
+    np.testing.assert_allclose(found.believed, 1.0, atol=0.3)
+    aircraft.effect = np.array([-1.0, 1.0, 1.0])
+    watch(found, aircraft, 200)
+    np.testing.assert_allclose(found.believed, aircraft.effect, atol=0.3)
+
+
+def skip(found, aircraft, samples):
+    """Let the aircraft fly on with its last command, unseen."""
+    held = aircraft.sent[-1]
+    for _ in range(samples):
+        aircraft.step(held)
+        found.command(held)
+    found.restart_history(commands_known=True)
+
+
+@pytest.mark.parametrize("noise", [6.3e-4, 0.0])
+def test_gaps_change_nothing_of_what_is_known(noise):
+    """Neither where a sensor stands still, which undoes what was learnt of late, nor of how late commands are."""
+    aircraft, found = Aircraft(noise=noise), Effectiveness(SETTINGS, MODEL, 1)
+    aircraft.effect = np.array([0.9, 1.0, 1.1])
+    watch(found, aircraft, 600)
+    aircraft.stuck = {STATE.p: None}
+    watch(found, aircraft, 1)
+    for _ in range(30):
+        watch(found, aircraft, 25)
+        skip(found, aircraft, 1)
+    assert found.stuck.signals[STATE.p]
+    np.testing.assert_allclose(found.believed, aircraft.effect, atol=0.2)
+    aircraft.stuck = {}
+    watch(found, aircraft, 100)
+    aircraft.delay = 15
+    watch(found, aircraft, 200)
+    assert found.delay_samples == 15
+    alarms = found.alarms
+    for _ in range(30):
+        watch(found, aircraft, 25)
+        skip(found, aircraft, 2)
+        assert found.delay_samples == 15
+    assert found.alarms == alarms
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1,)])
+@pytest.mark.parametrize("broken", [0.01, 0.05])
+def test_a_gyro_that_becomes_noisy_is_no_surface_that_changed(axes, broken):
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 600)
+    noise = np.full(3, 6.3e-4)
+    noise[list(axes)] = broken
+    aircraft.noise = noise
+    watch(found, aircraft, 50)
+    believed = []
+    for _ in range(60):
+        watch(found, aircraft, 10)
+        believed.append(found.believed.copy())
+    np.testing.assert_allclose(believed, 1.0, atol=0.3)
+    ratio = np.sqrt(found.unrest.variances) / noise
+    assert (ratio > 0.7).all()
+    assert (ratio < 2.0).all()
+    # What surfaces do is still found, and that the gyro is well again.
+    aircraft.effect = np.array([-1.0, 1.0, 1.0])
     watch(found, aircraft, 300)
-    assert found.restarts > 0
-    assert np.isfinite(found.filter.s).all()
-    assert np.isfinite(found.filter.P).all()
-    np.testing.assert_allclose(found.effectiveness, 1.0, atol=0.3)
+    assert found.believed[0] < -0.5
+    aircraft.noise = 6.3e-4
+    watch(found, aircraft, 400)
+    assert max(found.unrest.variances) < (2e-3) ** 2
+
+
+def test_surfaces_that_swing_the_aircraft_are_no_noise():
+    aircraft, found = Aircraft(noise=6.3e-4), Effectiveness(SETTINGS, MODEL, 1)
+    watch(found, aircraft, 600)
+    aircraft.command = lambda: 0.15 * np.sign(np.sin(2.0 * np.pi * aircraft.tick / np.array([4.0, 5.0, 6.0])))
+    for _ in range(200):
+        watch(found, aircraft, 1)
+        assert not found.unrest.broke
 
 
 def test_a_flight_that_starts_again_is_like_the_first():

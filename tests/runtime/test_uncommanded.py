@@ -130,8 +130,9 @@ def test_what_started_behind_is_given_up_by_twice_the_lead(odds, lead):
 def test_how_fast_a_surface_moved_is_not_recalled_as_a_slope():
     past, state = Recollection(SETTINGS, DT), np.arange(1.0, N + 1.0)
     for moving in (False, True):
-        past.keep(0, state, np.ones(3), moving)
-        past.recall(0, True)
+        for _ in range(round(Recollection.LONG_AGO / DT)):
+            past.keep(state, np.ones(3), moving)
+        past.recall(True)
         expected = np.concatenate([state[:3], np.ones(3), state[6:MOTION], [0.0 if moving else state[MOTION]]])
         np.testing.assert_array_equal(past.long_ago, expected)
 
@@ -140,8 +141,9 @@ def test_between_alarms_that_follow_one_another_nothing_is_settled():
     past, works = Recollection(SETTINGS, DT), np.array([1.0, -1.0, 0.3])
     np.testing.assert_array_equal(past.settled, 1.0)
     for calm, found in ((True, works), (False, np.zeros(3))):
-        past.keep(0, np.zeros(N), found, False)
-        past.recall(0, calm)
+        for _ in range(round(Recollection.LONG_AGO / DT)):
+            past.keep(np.zeros(N), found, False)
+        past.recall(calm)
         np.testing.assert_array_equal(past.settled, works)
     past.reset()
     np.testing.assert_array_equal(past.settled, 1.0)
