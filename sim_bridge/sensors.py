@@ -91,8 +91,8 @@ class Sensors:
         self._samples = round(self._delay / self._dt)
         self._any_stuck = bool(self._stuck.any())
         self._ideal = not (self._noise.any() or self._bias.any() or self._samples or self._any_stuck)
-        if self._ideal:
-            self._past.clear()
+        if not self._samples:
+            self._past.clear()  # nothing is kept while there is no delay: another one must not begin with what is old
 
     def _delayed(self, x: np.ndarray) -> np.ndarray:
         if not self._samples:
