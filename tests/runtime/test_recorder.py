@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pyulog import ULog as Reader
@@ -92,6 +94,7 @@ def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
         with pytest.raises(UserError, match="cannot be written"):
             check_writable(path)
     check_writable(tmp_path / "new" / "f.ulg")
+    check_writable(Path("/dev/null"))
 
 
 def test_percentiles_of_nothing_are_nothing():
