@@ -89,6 +89,11 @@ class Session:
     ) -> None:
         adaptation, operation = configuration.adaptation, configuration.operation
         check_writable(log)
+        if not isinstance(population, Solo) and operation.dt != population.manifest.dt:
+            raise UserError(
+                f"dt: population {population.name} flies with {population.manifest.dt:g} s, got {operation.dt:g} s; "
+                "leave dt out"
+            )
         self._link, self._population, self._reference = link, population, reference
         self._configuration, self._log, self._overwrite = configuration, log, overwrite
         self._say, self._stopped = say, stopped

@@ -202,6 +202,11 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     assert second.summary.updates == 200 - 3
 
 
+def test_a_population_flies_with_its_own_sample_time_alone(cast, plant_link, tmp_path):
+    with pytest.raises(UserError, match=r"dt: population .* flies with 0.01 s, got 0.02 s"):
+        fly(plant_link(10), cast, tmp_path / "f.ulg", overrides=("dt=0.02",))
+
+
 def test_a_start_keeps_the_logs_that_are_there(cast, plant_link, tmp_path):
     log, lines = tmp_path / "f.ulg", []
     (first,) = fly(plant_link(100), cast, log)
