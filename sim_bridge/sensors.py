@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -28,6 +29,14 @@ class SensorSettings(Settings, frozen=True):
     """Constant error, by signal, in its SI unit."""
     delay: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.0
     """Delay of all signals [s], rounded to samples."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers of the tables too."""
+        super().__post_init__()
+        for what, table in (("noise", self.noise), ("bias", self.bias)):
+            for name, value in table.items():
+                if not math.isfinite(value):
+                    raise ValueError(f"{what}.{name}: expected a finite number, got {value}")
 
 
 class Sensors:

@@ -67,7 +67,7 @@ def test_a_disk_that_takes_nothing_stops_the_log_and_not_the_flight():
 
 def test_no_number_that_a_flight_brings_makes_recording_raise(tmp_path):
     path = tmp_path / "flight.ulg"
-    recorder = Recorder(path, resolve("ensemble", None, ("p0=1e300",)), "cast", ["a"], tuple(STATE)[:6], {})
+    recorder = Recorder(path, resolve("ensemble"), "cast", ["a"], tuple(STATE)[:6], {})
     wild = np.zeros(12)
     wild[[STATE.V, STATE.h, STATE.p, STATE.q]] = 5e38, -1e300, np.nan, np.inf
     unix = 1_700_000_000_000_000  # a clock that was set to it in flight: more ticks than 32 bits hold
