@@ -131,7 +131,8 @@ def fly(population: Loaded, plant: Plant, delay: int, seed: int, method: str, lo
     link = LateLink(plant, delay, seed)
     rows = random_reference(np.random.default_rng(seed), DURATION, float(link.x[0][STATE.theta]), "evaluation")
     preset, over = METHODS[method]
-    with Session(link, population, RecordedReference(rows), resolve(preset, None, over), log) as session:
+    configuration = resolve(preset, None, over)
+    with Session(link, population, RecordedReference(rows), configuration, log, overwrite=True) as session:
         (flown,) = session.fly()
     begin = round(FAULT_AT / DT)
     x = np.array(link.x[:-1])

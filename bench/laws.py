@@ -60,7 +60,8 @@ def fly(law: LawName, case: Case, folder: Path, duration: float = DURATION) -> F
     rows = base_reference(duration, float(world.x[STATE.theta]))
     link = WorldLink(world, rows)
     configuration = resolve(overrides=("prior=none",), switch="none")
-    with Session(link, load_solo(law), RecordedReference(rows), configuration, folder / "flight.ulg") as session:
+    log = folder / "flight.ulg"
+    with Session(link, load_solo(law), RecordedReference(rows), configuration, log, overwrite=True) as session:
         (flown,) = session.fly()
     x, command, _ = link.course.trace()
     cycle = flown.summary.cycle_us

@@ -13,6 +13,9 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Fraction = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 
+Count = Annotated[int, msgspec.Meta(ge=1, le=2**31 - 1)]
+"""What the log can hold as a parameter."""
+
 Switch = Literal["none", "hard", "soft"]
 LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree", "indi-rls-protected"]
 """``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign, and
@@ -60,8 +63,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     t_play: Positive = 2.0
     """Time between two imaginations of the population [s]."""
 
-    horizon: Positive = 4.0
-    """How far each imagination looks, t_h [s]."""
+    horizon: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 4.0
+    """How far each imagination looks, t_h [s]; each second costs time."""
 
     preview: bool = True
     """True imagines with the future reference where it is known; False with ``trend_time`` alone."""
@@ -70,7 +73,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """How long a reference that nobody knows beforehand is imagined to go on as it moves now: time constant of its
     slowing down [s], :class:`runtime.reference.Trend`; 0 holds the present one."""
 
-    play_delay_ticks: Annotated[int, msgspec.Meta(ge=1)] = 10
+    play_delay_ticks: Count = 10
     """In lockstep an imagination asked for at tick k decides at tick k + this [samples]."""
 
     max_age: Positive = 1.0
@@ -160,7 +163,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     open_after: Positive = 0.03
     """From the alarm to the opening [s]: the samples that straddle the fault are not learnt from."""
 
-    recall: Positive = 0.1
+    recall: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.1
     """The filters open at what was known so long before the alarm [s]: since the fault the bias took it up."""
 
     open_time: Positive = 1.0
@@ -197,7 +200,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Alarm when the filter that lets one surface's effectiveness move explains the rates better than the believed one
     by so much, with forgetting; elevator, aileron, rudder [nats]. Grows with turbulence as ``alarm_threshold``."""
 
-    delays: tuple[NotNegative, ...] = (0.05, 0.10, 0.15)
+    delays: tuple[Annotated[float, msgspec.Meta(ge=0.0, le=10.0)], ...] = (0.05, 0.10, 0.15)
     """Delays of the commands that may be found, beyond the population's ``command_lag`` [s]."""
 
     crossed: bool = True
@@ -263,10 +266,10 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Predicted returns are averaged over imaginations with the same belief about the surfaces, forgetting with this
     time constant [s]; 0 decides on each imagination alone."""
 
-    confirmations: Annotated[int, msgspec.Meta(ge=1)] = 1
+    confirmations: Count = 1
     """So many imaginations in a row must name the same member before a change that no alarm asked for."""
 
-    confirmations_watch: Annotated[int, msgspec.Meta(ge=1)] = 1
+    confirmations_watch: Count = 1
     """The same for ``watch`` after an alarm. With a law in the cast that is told what changed, or finds it out itself,
     most changes that a single imagination asks for are to and fro."""
 
@@ -280,6 +283,7 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Name of the member that flies first; empty: the population's champion."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(set(self.laws)) < len(self.laws):
             raise ValueError(f"laws: expected each at most once, got {list(self.laws)}")
         if self.prior != "none" and self.model == "full":
@@ -293,8 +297,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
 class Operation(Settings, frozen=True, kw_only=True):
     """How the loop keeps time and what it does when something is missing."""
 
-    dt: Positive = DT
-    """Sample time of the loop [s]; the populations are trained for 0.01 s."""
+    dt: Annotated[float, msgspec.Meta(ge=1e-3, le=0.1)] = DT
+    """Sample time of the loop [s]; a population flies with its own alone, 0.01 s."""
 
     real_time: bool = False
     """True keeps the wall clock: nobody waits, late samples are missed. False is lockstep: each state is answered when
@@ -324,10 +328,10 @@ class Operation(Settings, frozen=True, kw_only=True):
     missed_factor: Annotated[float, msgspec.Meta(gt=1.0)] = 1.5
     """In real time a sample that is not there after this many sample times counts as missed."""
 
-    core: Annotated[int, msgspec.Meta(ge=-1)] = -1
+    core: Annotated[int, msgspec.Meta(ge=-1, le=65535)] = -1
     """CPU core that the control thread is pinned to in real time; -1 pins to none."""
 
-    flush_ticks: Annotated[int, msgspec.Meta(ge=1)] = 25
+    flush_ticks: Count = 25
     """The log is handed to the operating system every so many samples; what is there survives a kill -9."""
 
 

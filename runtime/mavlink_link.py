@@ -15,6 +15,7 @@ from runtime.codec import (
     LOCAL_NED,
     MAGIC_1,
     MAGIC_2,
+    NAN,
     ODOMETRY,
     ODOMETRY_EXTRA,
     Controls,
@@ -36,6 +37,10 @@ TEXT = 50
 """Characters that fit in one STATUSTEXT."""
 
 
+Sender = tuple[Peer, tuple[int, int]]
+"""An address, and the system and component that speak from it."""
+
+
 class MavlinkLink:
     """MAVLink 2 over UDP.
 
@@ -51,6 +56,8 @@ class MavlinkLink:
     """In real time a state that is older than another by less than this [us] was overtaken on the way."""
     BURST = 64
     """Datagrams that are read at most to find the newest state."""
+    SENDERS = 16
+    """Whose origins are kept: an aircraft that takes another's place has told its own before its first state."""
     LINES = 64
     """Different things that are counted and said; beyond, they are one."""
     FLOOD = 2000
@@ -80,7 +87,8 @@ class MavlinkLink:
         self._mav = mavlink.MAVLink(None, SYSTEM, COMPONENT)
         self._controls = Controls(SYSTEM, COMPONENT, lockstep)
         self._odometry = Odometry()
-        self._origin_altitude: float | None = None
+        self._origins: dict[Sender, float] = {}
+        """Altitude of each sender's origin [m], the one told last at the end."""
         self._peer: Peer | None = None if address.bind else address.peer
         """Whose states are flown."""
         self._caller: Peer | None = None
@@ -237,19 +245,23 @@ class MavlinkLink:
         if not checksum_holds(self._buffer, frame, ODOMETRY_EXTRA):
             self._refuse(f"ODOMETRY of {peer[0]}:{peer[1]} with a wrong checksum: damaged, or another MAVLink dialect")
             return None
-        if self._origin_altitude is None:
-            self._refuse("ODOMETRY before any GPS_GLOBAL_ORIGIN: its altitude is unknown")
-            return None
+        identity = (frame.system, frame.component)
+        origin = self._origins.get((peer, identity))
         odometry = self._odometry
-        odometry.read(self._buffer, frame, self._origin_altitude)
+        odometry.read(self._buffer, frame, NAN if origin is None else origin)
         if odometry.frame_id != LOCAL_NED or odometry.child_frame_id != BODY_FRD:
             self._refuse(
                 f"ODOMETRY in frames {odometry.frame_id}, {odometry.child_frame_id}: expected {LOCAL_NED} "
                 f"(MAV_FRAME_LOCAL_NED), {BODY_FRD} (MAV_FRAME_BODY_FRD)"
             )
             return None
+        if origin is None:
+            self._refuse(
+                f"ODOMETRY before any GPS_GLOBAL_ORIGIN of {peer[0]}:{peer[1]} system {frame.system} component "
+                f"{frame.component}: its altitude is unknown"
+            )
+            return None
         now = time.monotonic()
-        identity = (frame.system, frame.component)
         if (peer, identity) != (self._peer, self._aircraft):
             if now - self._peer_heard < self.PEER_SILENCE:
                 self._refuse(f"ODOMETRY of a second aircraft, {peer[0]}:{peer[1]} system {frame.system}")
@@ -300,8 +312,15 @@ class MavlinkLink:
             self._once("link: the aircraft's side keeps lockstep but the runtime real time; leave out --realtime")
 
     def _take_origin(self, message: mavlink.MAVLink_gps_global_origin_message, frame: Frame, peer: Peer) -> None:
-        """Learn the altitude of the origin."""
-        self._origin_altitude = 1e-3 * message.altitude
+        """Learn the altitude of the sender's own origin; nobody else's states are of it."""
+        sender = peer, (frame.system, frame.component)
+        aircraft = self._peer, self._aircraft
+        if sender != aircraft and time.monotonic() - self._peer_heard < self.PEER_SILENCE:
+            self._once(f"link: GPS_GLOBAL_ORIGIN of {peer[0]}:{peer[1]} system {frame.system} is not the aircraft's")
+        self._origins.pop(sender, None)
+        self._origins[sender] = 1e-3 * message.altitude
+        if len(self._origins) > self.SENDERS:
+            del self._origins[next(known for known in self._origins if known != aircraft)]
 
     def _take_setpoint(self, message: mavlink.MAVLink_set_attitude_target_message, frame: Frame, peer: Peer) -> None:
         """Take a set-point of attitude, and say it back as ATTITUDE_TARGET."""

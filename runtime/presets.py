@@ -98,7 +98,7 @@ def resolve(
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise UserError(f"{file}: not valid TOML: {error}") from None
     name = preset or data.get("preset") or "understudy"
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise UserError(f"preset {name!r}: unknown; choose one of {', '.join(PRESETS)}")
     data["preset"] = name
     tables = {"adaptation": msgspec.to_builtins(PRESETS[name]), "operation": {}}

@@ -82,6 +82,10 @@ class Summary(msgspec.Struct, kw_only=True):
     log_error: str = ""
 
 
+BESIDE = ("config", "summary")
+"""What accompanies a log."""
+
+
 def beside(log: Path, what: str) -> Path:
     """Return the path of a file that accompanies a log: flight.ulg -> flight.summary.json."""
     return log.with_suffix(f".{what}.json")
@@ -91,7 +95,8 @@ def check_writable(log: Path) -> None:
     """Make the log's folder; raise UserError when no log can be written there."""
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
-        writable = os.access(log if log.exists() else log.parent, os.W_OK) and not log.is_dir()
+        device = log.exists() and not log.is_file()  # such as /dev/null; a file that is there is left as it is
+        writable = os.access(log if device else log.parent, os.W_OK) and not log.is_dir()
     except OSError:
         writable = False
     if not writable:

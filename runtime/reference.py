@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import deque
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +14,8 @@ from task.errors import UserError
 from task.limits import DT
 from task.state import N_REFERENCE, REFERENCE, STATE
 
+LONGEST = 86400.0
+"""Time of the last row of a reference file at most [s]."""
 COLUMNS = ("t", *(signal.name for signal in REFERENCE))
 """Columns of a reference file: time [s], then theta, phi, beta [rad]."""
 
@@ -133,9 +136,12 @@ def _read_table(path: Path) -> np.ndarray:
     data = read_bytes(path, "reference")
     if path.suffix == ".npy":
         try:
-            return np.load(path, allow_pickle=False)
-        except ValueError as error:
-            raise UserError(f"{path}: not a NumPy array: {error}") from None
+            table = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        except (ValueError, EOFError, OSError, MemoryError) as error:
+            raise UserError(f"{path}: not a NumPy array of numbers: {' '.join(str(error).split())}") from None
+        if table.dtype.kind not in "biuf":
+            raise UserError(f"{path}: expected numbers, got an array of {table.dtype}; save it as float64")
+        return table.astype(float)
     lines = [line.strip() for line in data.decode(errors="replace").splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     if lines and lines[0][0].isalpha():
@@ -158,7 +164,7 @@ def load_reference(path: Path, dt: float = DT) -> RecordedReference:
     """Read a reference from CSV (columns t,theta,phi,beta; header optional) or NPY (N, 4).
 
     t [s] must rise and start at or before 0; angles in rad. Rows are interpolated onto the loop's samples. Raises
-    UserError for a file that is missing, empty, malformed, not finite, not rising, or in degrees by the look of it.
+    UserError for a file that is missing, empty, malformed, not finite, not rising, or in other units by the look of it.
     """
     table = _read_table(path)
     if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] != len(COLUMNS):
@@ -170,6 +176,11 @@ def load_reference(path: Path, dt: float = DT) -> RecordedReference:
         raise UserError(f"{path}: time must rise; row {int(np.flatnonzero(np.diff(t) <= 0.0)[0]) + 2} does not")
     if t[0] > 0.0:
         raise UserError(f"{path}: expected the first row at t = 0 s, got {t[0]:g} s")
+    if not 0.0 <= t[-1] <= LONGEST:
+        raise UserError(
+            f"{path}: expected the last row between t = 0 s and {LONGEST:g} s, a day, got {t[-1]:g} s; "
+            "are these seconds?"
+        )
     if np.abs(angles).max() > np.pi:
         raise UserError(
             f"{path}: an angle of {np.abs(angles).max():g} rad is more than half a turn; are these degrees?"

@@ -23,7 +23,7 @@ from runtime.loop import Loop, Outcome
 from runtime.plays import Plays
 from runtime.policy import Policy
 from runtime.population import BehaviouralPolicy, Population, probe
-from runtime.recorder import Recorder, Summary, check_writable, percentiles
+from runtime.recorder import BESIDE, Recorder, Summary, beside, check_writable, percentiles
 from runtime.reference import Reference
 from runtime.switching import Cast, opposed
 from task.errors import UserError
@@ -39,8 +39,22 @@ class Flown(NamedTuple):
 
 
 def log_path(log: Path, number: int) -> Path:
-    """Return where the log of flight ``number`` (1, 2, ...) goes: flight.ulg, flight.2.ulg, ..."""
-    return log if number == 1 else log.with_suffix(f".{number}{log.suffix}")
+    """Return the name of log ``number``: flight.ulg, flight.2.ulg, ...; where it has no suffix flight, flight-2, ..."""
+    if number == 1:
+        return log
+    return log.with_name(f"{log.stem}.{number}{log.suffix}" if log.suffix else f"{log.name}-{number}")
+
+
+def free_log(log: Path, number: int = 1) -> Path:
+    """Return the first log from ``number`` on of which nothing is there yet, so that no flight is lost.
+
+    What is no file of its own, as /dev/null, is no flight, and taken as it is.
+    """
+    while True:
+        path = log_path(log, number)
+        if not any(part.is_file() for part in (path, *(beside(path, what) for what in BESIDE))):
+            return path
+        number += 1
 
 
 def members_of(population: Population, adaptation: Adaptation) -> list[str]:
@@ -57,7 +71,8 @@ class Session:
     """Everything that outlives a flight. Use it as a context manager.
 
     ``population`` is the cast, or one law that flies alone.
-    ``say`` takes one line at a time; ``stopped`` is asked whether somebody wants to end the flight.
+    ``say`` takes one line at a time; ``stopped`` is asked whether somebody wants to end the flight. A log that is
+    there already is kept, and the next free name taken; with ``overwrite`` it is not.
     """
 
     def __init__(
@@ -70,11 +85,17 @@ class Session:
         say: Callable[[str], None] = lambda line: None,
         stopped: Callable[[], bool] = lambda: False,
         information: dict[str, str] | None = None,
+        overwrite: bool = False,
     ) -> None:
         adaptation, operation = configuration.adaptation, configuration.operation
         check_writable(log)
+        if not isinstance(population, Solo) and operation.dt != population.manifest.dt:
+            raise UserError(
+                f"dt: population {population.name} flies with {population.manifest.dt:g} s, got {operation.dt:g} s; "
+                "leave dt out"
+            )
         self._link, self._population, self._reference = link, population, reference
-        self._configuration, self._log = configuration, log
+        self._configuration, self._log, self._overwrite = configuration, log, overwrite
         self._say, self._stopped = say, stopped
         self._information = {"population_sha256": population.sha256, **(information or {})}
         self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
@@ -145,8 +166,11 @@ class Session:
         sample = self._first_state()
         flown: list[Flown] = []
         while sample is not None:
-            self._say(f"{'first state' if not flown else 'a new flight'} at {1e-6 * sample.time_usec:.2f} s; flying")
-            flight, sample = self._fly_one(sample, len(flown) + 1)
+            number = len(flown) + 1
+            path = log_path(self._log, number) if self._overwrite else free_log(self._log, number)
+            began = "first state" if number == 1 else "a new flight"
+            self._say(f"{began} at {1e-6 * sample.time_usec:.2f} s; flying, log in {path}")
+            flight, sample = self._fly_one(sample, path)
             flown.append(flight)
         return flown
 
@@ -169,7 +193,7 @@ class Session:
         heard = f"states came, but {unusable}" if unusable else self._link.diagnosis()
         raise UserError(f"no state within {self._configuration.operation.start_patience:g} s: {heard}")
 
-    def _fly_one(self, first: Sample, number: int) -> tuple[Flown, Sample | None]:
+    def _fly_one(self, first: Sample, path: Path) -> tuple[Flown, Sample | None]:
         """Fly one flight from its first state; return it, and the first state of the one that replaced it."""
         began = time.monotonic()
         adaptation, operation = self._configuration.adaptation, self._configuration.operation
@@ -183,7 +207,6 @@ class Session:
             not operation.real_time, self._ensemble,
         )  # fmt: skip
         members = self._members
-        path = log_path(self._log, number)
         recorder = Recorder(
             path, self._configuration, self._population.name, members, self._model.outputs, self._information,
             threaded=operation.real_time,

@@ -6,6 +6,7 @@ cut short by a kill -9 is readable to its last flush.
 
 from __future__ import annotations
 
+import math
 import queue
 import struct
 import threading
@@ -23,6 +24,29 @@ _CODES = {
     "double": "d",
     "float": "f",
 }
+_RANGES = {
+    "Q": (0, 2**64 - 1),
+    "I": (0, 2**32 - 1),
+    "H": (0, 2**16 - 1),
+    "B": (0, 2**8 - 1),
+    "h": (-(2**15), 2**15 - 1),
+    "i": (-(2**31), 2**31 - 1),
+}
+"""Least and greatest value of each kind of integer."""
+_FLOAT_MAX = 3.4028234663852886e38
+"""Greatest number of float32."""
+_LONGEST = 0xFFFF
+"""Bytes of the longest message."""
+
+
+def _fitted(code: str, value: float) -> float:
+    """Return a number as its field can hold it: infinite beyond float32, integers at the end of their range."""
+    if code == "d":
+        return value
+    if code == "f":
+        return math.copysign(math.inf, value) if abs(value) > _FLOAT_MAX else value
+    low, high = _RANGES[code]
+    return 0 if math.isnan(value) else int(min(max(value, low), high))
 
 
 class Topic:
@@ -31,17 +55,23 @@ class Topic:
     def __init__(self, number: int, name: str, fields: list[tuple[str, str]]) -> None:
         self.name = name
         self.text = f"{name}:uint64_t timestamp;" + "".join(f"{kind} {field};" for kind, field in fields)
-        layout = "<HBHQ"
+        codes = "Q"
         for kind, _ in fields:
             base, _, count = kind.partition("[")
-            layout += f"{int(count[:-1]) if count else 1}{_CODES[base]}"
+            codes += (int(count[:-1]) if count else 1) * _CODES[base]
+        layout = f"<HBH{codes}"
+        self._codes = codes
         self._pack = struct.Struct(layout).pack
         self._size = struct.calcsize(layout) - 3
         self._number = number
 
     def record(self, timestamp: int, *values: float) -> bytes:
-        """Return one data message."""
-        return self._pack(self._size, ord("D"), self._number, timestamp, *values)
+        """Return one data message; a number that its field cannot hold is brought to the end of the field's range."""
+        try:
+            return self._pack(self._size, ord("D"), self._number, timestamp, *values)
+        except (struct.error, OverflowError):  # only now, since looking at each number would double the cost
+            numbers = zip(self._codes, (timestamp, *values), strict=True)
+            return self._pack(self._size, ord("D"), self._number, *(_fitted(*number) for number in numbers))
 
 
 class ULog:
@@ -79,8 +109,9 @@ class ULog:
     def parameter(self, key: str, value: float) -> None:
         """Write a parameter: int32 for integers and flags, float for the rest."""
         whole = isinstance(value, int)
+        code = "i" if whole else "f"
         name = f"{'int32_t' if whole else 'float'} {key}".encode()
-        self._message(b"P", bytes([len(name)]) + name + struct.pack("<i" if whole else "<f", value))
+        self._message(b"P", bytes([len(name)]) + name + struct.pack(f"<{code}", _fitted(code, value)))
 
     def topic(self, name: str, fields: list[tuple[str, str]]) -> Topic:
         """Declare a topic with fields (type, name); the timestamp is added."""
@@ -101,7 +132,8 @@ class ULog:
 
     def message(self, timestamp: int, severity: int, text: str) -> None:
         """Write a line of text; severity 0..7 as in MAV_SEVERITY."""
-        self._message(b"L", struct.pack("<BQ", ord("0") + severity, timestamp) + text.encode())
+        start = struct.pack("<BQ", ord("0") + severity, int(_fitted("Q", timestamp)))
+        self._message(b"L", start + text.encode(errors="replace")[: _LONGEST - len(start)])
 
     def flush(self) -> None:
         """Hand what was written to the operating system."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import click
 import msgspec
@@ -40,7 +42,18 @@ class _Stop:
         return self._event.is_set()
 
 
-_SECONDS = click.FloatRange(min=0.0, max=86400.0, min_open=True)
+class _Seconds(click.FloatRange):
+    """A time; click's range lets nan pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the time; what is no number is refused."""
+        seconds = super().convert(value, param, ctx)
+        if math.isnan(seconds):
+            self.fail(f"expected a number of seconds, got {value}", param, ctx)
+        return seconds
+
+
+_SECONDS = _Seconds(min=0.0, max=86400.0, min_open=True)
 
 
 @click.command()

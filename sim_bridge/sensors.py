@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -28,6 +29,14 @@ class SensorSettings(Settings, frozen=True):
     """Constant error, by signal, in its SI unit."""
     delay: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.0
     """Delay of all signals [s], rounded to samples."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers of the tables too."""
+        super().__post_init__()
+        for what, table in (("noise", self.noise), ("bias", self.bias)):
+            for name, value in table.items():
+                if not math.isfinite(value):
+                    raise ValueError(f"{what}.{name}: expected a finite number, got {value}")
 
 
 class Sensors:
@@ -91,8 +100,8 @@ class Sensors:
         self._samples = round(self._delay / self._dt)
         self._any_stuck = bool(self._stuck.any())
         self._ideal = not (self._noise.any() or self._bias.any() or self._samples or self._any_stuck)
-        if self._ideal:
-            self._past.clear()
+        if not self._samples:
+            self._past.clear()  # nothing is kept while there is no delay: another one must not begin with what is old
 
     def _delayed(self, x: np.ndarray) -> np.ndarray:
         if not self._samples:

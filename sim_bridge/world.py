@@ -79,12 +79,12 @@ class World:
     def inject(self, message: mavlink.MAVLink_command_long_message) -> int:
         """Break, or mend, what a COMMAND_LONG asks for, from the next tick on; return its MAV_RESULT.
 
-        A part has one injected failure at a time: another one takes its place.
+        A part has one injected failure at a time: another one takes its place. To mend is always possible.
         """
         start = (self._tick + 1) * DT
         result, failures = read_injection(message, start)
         faults, levels = list(self._schedule.faults), list(self._schedule.levels)
-        if len(faults) + len(failures) > self._most_faults:
+        if len(faults) + sum(fault is not None for fault in failures.values()) > self._most_faults:
             return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         for part, fault in failures.items():
             if part in self._injected:

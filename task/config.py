@@ -13,9 +13,20 @@ from task.errors import UserError
 
 T = TypeVar("T")
 
+LARGEST = 1e30
+"""No number of a configuration is near it, and what is made of larger ones overflows."""
+
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of every configuration: immutable, keyword-only, unknown keys refused."""
+    """Base of every configuration: immutable, keyword-only, unknown keys refused, and its numbers are finite."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that TOML can spell and no setting can be."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, float) and not abs(number) <= LARGEST:
+                    raise ValueError(f"{name}: expected a finite number, {LARGEST:g} at most, got {number}")
 
 
 def _keys_at(kind: Any, data: Any, message: str) -> str:

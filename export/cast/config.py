@@ -113,6 +113,7 @@ class CastSettings(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         """Check what single fields cannot."""
+        super().__post_init__()
         names = [case.name for case in (*EASY, *self.cases)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

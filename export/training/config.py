@@ -180,6 +180,7 @@ class TrainingConfig(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         """Check what single fields cannot."""
+        super().__post_init__()
         if self.genetic.stored_evaluations > self.genetic.evaluations:
             raise ValueError(
                 f"genetic.stored_evaluations: expected at most genetic.evaluations = {self.genetic.evaluations}, "

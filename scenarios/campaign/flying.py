@@ -103,7 +103,7 @@ class Flyer:
         configuration = row.configuration(cell.preview)
         first = configuration.adaptation.first or self._population.manifest.champion
         events = Events(cell.fault_at, first if row.law is None else "")
-        with Session(link, who, RecordedReference(rows), configuration, log, events.hear) as session:
+        with Session(link, who, RecordedReference(rows), configuration, log, events.hear, overwrite=True) as session:
             if row.model == "aircraft":
                 adaptation = configuration.adaptation
                 members = len(members_of(self._population, adaptation))

@@ -264,12 +264,62 @@ def test_a_second_aircraft_is_not_heard_while_the_first_one_speaks(pair, make):
     assert link.read(1.0).flight == 1
     other.state(0)
     assert link.read(0.05) is None
-    assert "second aircraft" in lines[0]
+    assert "second aircraft" in lines[-1]
     link.PEER_SILENCE = 0.05
     time.sleep(0.1)
     other.state(0)
     assert link.read(1.0).flight == 9
     other.socket.close()
+
+
+def origin(altitude, system=42, component=1):
+    message = mavlink.MAVLink_gps_global_origin_message(0, 0, round(1e3 * altitude), 0)
+    return message.pack(mavlink.MAVLink(None, system, component))
+
+
+def test_another_ones_origin_is_not_the_aircrafts(pair):
+    link, aircraft, lines = pair
+    other = Aircraft(link.address.peer[1])
+    other.send(origin(9000.0))
+    aircraft.send(aircraft.codec.odometry(0, LEVEL))
+    assert link.read(0.05) is None  # nobody knows its origin yet
+    aircraft.state(0)
+    assert link.read(1.0).x[STATE.h] == pytest.approx(2000.0)
+    other.send(origin(9000.0), origin(9000.0, 1, 200))  # a stranger, and one that says it were the aircraft
+    aircraft.send(origin(9000.0))  # another system behind the aircraft's own address
+    aircraft.send(aircraft.codec.odometry(10_000, LEVEL))
+    assert link.read(1.0).x[STATE.h] == pytest.approx(2000.0)
+    assert sum("GPS_GLOBAL_ORIGIN" in line and "is not the aircraft's" in line for line in lines) == 3
+    other.socket.close()
+
+
+def test_an_aircraft_that_takes_anothers_place_brings_its_own_origin(pair):
+    link, aircraft, _ = pair
+    aircraft.state(0)
+    assert link.read(1.0) is not None
+    link.PEER_SILENCE = 0.05
+    other = Aircraft(link.address.peer[1], reset_counter=9)
+    other.codec = Codec(3000.0, 9)
+    other.send(other.codec.origin(0))
+    assert link.read(0.1) is None
+    high = LEVEL.copy()
+    high[STATE.h] = 3100.0
+    other.send(other.codec.odometry(0, high))
+    sample = link.read(1.0)
+    assert (sample.flight, sample.x[STATE.h]) == (9, pytest.approx(3100.0))
+    other.socket.close()
+
+
+def test_a_flood_of_origins_does_not_wash_the_aircrafts_away(pair):
+    link, aircraft, _ = pair
+    aircraft.state(0)
+    assert link.read(1.0) is not None
+    for system in range(2, 60):
+        aircraft.send(origin(9000.0, system))
+        link.read(0.0)
+    assert len(link._origins) == link.SENDERS
+    aircraft.send(aircraft.codec.odometry(10_000, LEVEL))
+    assert link.read(1.0).x[STATE.h] == pytest.approx(2000.0)
 
 
 def test_in_real_time_the_newest_state_counts(make):

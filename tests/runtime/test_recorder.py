@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pyulog import ULog as Reader
@@ -63,12 +65,36 @@ def test_a_disk_that_takes_nothing_stops_the_log_and_not_the_flight():
     assert "the log ends here: No space left" in log.error
 
 
+def test_no_number_that_a_flight_brings_makes_recording_raise(tmp_path):
+    path = tmp_path / "flight.ulg"
+    recorder = Recorder(path, resolve("ensemble"), "cast", ["a"], tuple(STATE)[:6], {})
+    wild = np.zeros(12)
+    wild[[STATE.V, STATE.h, STATE.p, STATE.q]] = 5e38, -1e300, np.nan, np.inf
+    unix = 1_700_000_000_000_000  # a clock that was set to it in flight: more ticks than 32 bits hold
+    recorder.cycle(unix, unix // 10_000, wild, np.zeros(3), np.zeros(3), 0.0, 1, 1 << 20)
+    recorder.cycle(2**70, -3, np.zeros(12), np.zeros(3), np.zeros(3), 0.0, -1, 0)
+    recorder.message(-5, 4, "x" * 70_000)
+    recorder._log.close()
+    log = Reader(str(path))
+    cycle = log.data_list[0].data
+    assert cycle["V"].tolist() == [np.inf, 0.0]
+    assert cycle["h"].tolist() == [-np.inf, 0.0]
+    assert np.isnan(cycle["p"][0])
+    assert cycle["q"][0] == np.inf
+    assert cycle["tick"].tolist() == [2**32 - 1, 0]
+    assert cycle["member"].tolist() == [1, -1]
+    assert cycle["health"].tolist() == [2**16 - 1, 0]
+    assert cycle["timestamp"].tolist() == [unix, 2**64 - 1]
+    assert len(log.logged_messages[0].message) > 60_000
+
+
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
     for path in (tmp_path, tmp_path / "file" / "f.ulg"):
         (tmp_path / "file").touch()
         with pytest.raises(UserError, match="cannot be written"):
             check_writable(path)
     check_writable(tmp_path / "new" / "f.ulg")
+    check_writable(Path("/dev/null"))
 
 
 def test_percentiles_of_nothing_are_nothing():

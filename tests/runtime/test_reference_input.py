@@ -1,3 +1,5 @@
+import io
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,8 @@ def test_npy_and_csv_are_the_same(tmp_path):
         ("0,0,0,0\n0,0,0,0\n", "time must rise; row 2"),
         ("1,0,0,0\n", "first row at t = 0"),
         ("0,5,0,0\n", "are these degrees"),
+        ("-2,0,0,0\n-1,0,0,0\n", "last row between t = 0 s and 86400 s, a day, got -1 s"),
+        ("0,0,0,0\n1e300,0,0,0\n", "got 1e.300 s; are these seconds"),
     ],
 )
 def test_a_bad_file_is_one_line(tmp_path, text, line):
@@ -49,6 +53,40 @@ def test_a_bad_file_is_one_line(tmp_path, text, line):
         load_reference(file)
     assert str(file) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def saved(array, allow_pickle=False):
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=allow_pickle)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", "not a NumPy array of numbers"),
+        (b"t,theta", "not a NumPy array of numbers"),
+        (saved(np.zeros((3, 4)))[:-8], "not a NumPy array of numbers"),
+        (saved(np.array([["0", "0", "0", "0"]])), "expected numbers, got an array of <U1"),
+        (saved(np.zeros((1, 4), dtype=complex)), "expected numbers, got an array of complex128"),
+        (saved(np.full((1, 4), None), allow_pickle=True), "not a NumPy array of numbers"),
+        (saved(np.float64(0.0)), "expected shape"),
+    ],
+)
+def test_a_bad_array_is_one_line(tmp_path, content, line):
+    file = tmp_path / "reference.npy"
+    file.write_bytes(content)
+    with pytest.raises(UserError, match=line) as error:
+        load_reference(file)
+    assert str(file) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_archive_is_no_array(tmp_path):
+    with (tmp_path / "reference.npy").open("wb") as file:
+        np.savez(file, rows=np.zeros((1, 4)))
+    with pytest.raises(UserError, match="not a NumPy array"):
+        load_reference(tmp_path / "reference.npy")
 
 
 def test_a_missing_file_is_one_line(tmp_path):

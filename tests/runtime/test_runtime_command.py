@@ -127,10 +127,13 @@ def test_a_runtime_killed_in_flight_and_started_again_flies_on(runtime, bridge, 
     wait_until(lambda: (tmp_path / "f.ulg").exists() and (tmp_path / "f.ulg").stat().st_size > 60_000, "a flight")
     os.kill(flying.pid, signal.SIGKILL)
     flying.wait()
-    again = runtime("--log", "again.ulg", name="again")
+    before = (tmp_path / "f.ulg").read_bytes()
+    again = runtime("--log", "f.ulg", name="again")
     assert again.wait(TIMEOUT) == 0, said(tmp_path, "again")
     assert aircraft.wait(TIMEOUT) == 0
-    before, after = cycle(tmp_path / "f.ulg"), cycle(tmp_path / "again.ulg")
+    assert (tmp_path / "f.ulg").read_bytes() == before
+    assert "flying, log in f.2.ulg" in said(tmp_path, "again")
+    before, after = cycle(tmp_path / "f.ulg"), cycle(tmp_path / "f.2.ulg")
     assert after["timestamp"][0] > before["timestamp"][-1] - 20_000 > 0
     assert after["timestamp"][-1] == 19_990_000
     # It keeps its place in the reference.

@@ -19,7 +19,7 @@ from runtime.loop import Outcome
 from runtime.population import load_population
 from runtime.presets import resolve
 from runtime.reference import LiveReference, RecordedReference
-from runtime.session import Session, log_path
+from runtime.session import Session, free_log, log_path
 from sim_bridge.plant import Plant
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT
@@ -200,6 +200,39 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     # Nothing of the first flight is left: the second is flown as if it were alone.
     np.testing.assert_array_equal(link.commands[0][:200], link.commands[1])
     assert second.summary.updates == 200 - 3
+
+
+def test_a_population_flies_with_its_own_sample_time_alone(cast, plant_link, tmp_path):
+    with pytest.raises(UserError, match=r"dt: population .* flies with 0.01 s, got 0.02 s"):
+        fly(plant_link(10), cast, tmp_path / "f.ulg", overrides=("dt=0.02",))
+
+
+def test_a_start_keeps_the_logs_that_are_there(cast, plant_link, tmp_path):
+    log, lines = tmp_path / "f.ulg", []
+    (first,) = fly(plant_link(100), cast, log)
+    kept = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(kept) == 3
+    (second,) = fly(plant_link(50), cast, log, say=lines.append)
+    assert (first.log, second.log) == (log, tmp_path / "f.2.ulg")
+    assert lines[0].endswith(f"flying, log in {second.log}")
+    assert {path: path.read_bytes() for path in kept} == kept
+    assert len(topics(second.log)["cycle"]["tick"]) == 50
+    (again,) = fly(plant_link(60), cast, log, overwrite=True)
+    assert again.log == log
+    assert len(topics(log)["cycle"]["tick"]) == 60
+    log.unlink()  # its summary is still there
+    third, fourth = fly(TwoFlights(plant_link, 2), cast, log)
+    assert (third.log, fourth.log) == (tmp_path / "f.3.ulg", tmp_path / "f.4.ulg")
+
+
+def test_a_free_log_is_found_whatever_its_name(tmp_path):
+    for name, second in (("f.ulg", "f.2.ulg"), ("f.a.ulg", "f.a.2.ulg"), ("log", "log-2")):
+        assert free_log(tmp_path / name) == tmp_path / name
+        (tmp_path / name).touch()
+        assert free_log(tmp_path / name) == tmp_path / second
+        (tmp_path / name).with_suffix(".summary.json").touch()
+        assert free_log(tmp_path / name) == tmp_path / second
+    assert free_log(Path("/dev/null")) == Path("/dev/null")
 
 
 def test_a_gap_restarts_the_increments_and_not_the_model(cast, plant_link, tmp_path):

@@ -128,6 +128,13 @@ def test_an_address_that_makes_no_sense_is_refused(link):
         parse_address(link)
 
 
+@pytest.mark.parametrize("option", ["--duration", "--patience", "--reply-timeout"])
+def test_a_time_that_is_no_number_is_refused(tmp_path, option):
+    code, lines = run(tmp_path, option, "nan")
+    assert code == 2
+    assert "expected a number of seconds, got nan" in lines
+
+
 def test_a_closed_port_is_noticed_and_does_not_raise():
     with Link("udpout:127.0.0.1:9") as link:
         for _ in range(3):

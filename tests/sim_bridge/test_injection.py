@@ -97,6 +97,16 @@ def test_a_flood_of_failures_has_an_end():
     assert results == [ACCEPTED] * MOST_INJECTED + [REJECTED] * 5
 
 
+def test_what_a_flood_broke_can_be_mended():
+    world = World(Flight())
+    for _ in range(MOST_INJECTED):
+        world.inject(order(SERVO, STUCK, 1))
+    assert world.inject(order(SERVO, OK)) == ACCEPTED
+    world.step(world.trim_action)
+    assert world.fault_levels == [0.0] * MOST_INJECTED
+    assert world.inject(order(SERVO, STUCK, 1)) == REJECTED
+
+
 def test_a_command_over_the_link_is_acknowledged_recorded_and_felt(peer_factory):
     sender = mavlink.MAVLink(None, 255, 190)
 

@@ -49,6 +49,19 @@ def test_delay() -> None:
     assert readings == [0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
+def test_a_second_delay_knows_nothing_of_the_first() -> None:
+    device = sensors(SensorSettings(bias={"V": 1.0}))  # never ideal
+    x = states(40)
+    device.impair({}, {}, 0.03, set())
+    for k in range(10):
+        device.measure(x[k])
+    device.impair({}, {}, 0.0, set())
+    for k in range(10, 30):
+        assert device.measure(x[k])[STATE.p] == k
+    device.impair({}, {}, 0.03, set())
+    assert [device.measure(x[k])[STATE.p] for k in range(30, 36)] == [30.0, 30.0, 30.0, 30.0, 31.0, 32.0]
+
+
 def test_stuck_keeps_the_last_value_and_comes_loose() -> None:
     device = sensors(SensorSettings(bias={"q": 0.5}))
     x = states(5)

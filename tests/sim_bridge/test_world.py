@@ -74,6 +74,10 @@ def test_a_file_says_everything_of_a_flight(tmp_path):
         ("[sensors]\nnoise = { p = -1.0 }", "expected `float` >= 0"),
         ('[air]\nturbulence = "heavy"', "'heavy'"),
         ("seed = -1", "expected `int` >= 0"),
+        ("[condition]\nspeed = inf", "speed: expected a finite number.*got inf"),
+        ("[air]\nwind_north = nan", "wind_north: expected a finite number"),
+        ("[sensors]\nnoise = { p = inf }", "noise.p: expected a finite number, got inf"),
+        ("duration = nan", "duration"),
     ],
 )
 def test_a_wrong_file_is_one_line_that_says_where(tmp_path, text, line):
