@@ -13,6 +13,7 @@ from types import FrameType
 import click
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 
 from scenarios import schema
 from scenarios.processes import StoppedError
@@ -121,7 +122,7 @@ def fly(
     chosen = chosen_modes(modes, script.modes)
     where = out or Path("flights") / path.stem
     screen = console()
-    screen.print(f"[bold]{script.title}[/]")
+    screen.print(f"[bold]{escape(script.title)}[/]")
     try:
         results = fly_scenario(
             script, path.parent, chosen, population or script.population, where, realtime, jobs, fresh, screen
@@ -134,7 +135,7 @@ def fly(
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(where / "figures" / "comparison.png", picture)
-    screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {report}")
+    screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {escape(str(report))}")
 
 
 @click.command()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import click
+from rich.markup import escape
 
 from scenarios.campaign.report import short
 from scenarios.cli import INTERRUPTED, chosen_modes, console, default_jobs, fly_scenario
@@ -112,7 +113,7 @@ def main(names: tuple[str, ...], out: Path, results: Path, figures: Path | None,
     for name in names or known:
         scenario = load_scenario(known[name])
         modes = chosen_modes(None, scenario.modes)
-        screen.print(f"[bold]{name}: {scenario.title}[/]")
+        screen.print(f"[bold]{name}: {escape(scenario.title)}[/]")
         try:
             done = fly_scenario(
                 scenario, known[name].parent, modes, scenario.population, out / name, False, jobs, fresh, screen
