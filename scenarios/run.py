@@ -26,6 +26,8 @@ from task.errors import UserError
 from task.reference import n_samples
 
 ROOT = Path(__file__).resolve().parents[1]
+SUMMARY = "truth.summary.json"
+"""The bridge's summary in the folder of a flight."""
 BYTES_A_SAMPLE = 145
 """About what one sample of the flight log takes; for the progress bar alone."""
 
@@ -210,7 +212,7 @@ def _fly_processes(job: Job, stop: threading.Event, moved: Callable[[float], Non
     """Start runtime and bridge in the flight's folder and see them through."""
     folder = job.folder
     flight, reference = folder / "flight.toml", folder / "reference.csv"
-    log, truth = folder / "flight.ulg", folder / "truth.npz"
+    log, truth, summary = folder / "flight.ulg", folder / "truth.npz", folder / SUMMARY
     flight.write_text(to_toml(job.flight))
     reference.write_bytes(csv_bytes(job.reference.rows))
     port = free_port()
@@ -229,7 +231,10 @@ def _fly_processes(job: Job, stop: threading.Event, moved: Callable[[float], Non
         bridge = Process(
             "bridge",
             "sim_bridge",
-            ["--flight", str(flight), "--link", f"udpout:127.0.0.1:{port}", "--truth", str(truth), *clock],
+            [
+                *("--flight", str(flight), "--link", f"udpout:127.0.0.1:{port}"),
+                *("--truth", str(truth), "--summary", str(summary), *clock),
+            ],
             folder / "bridge.log",
         )
     except BaseException:
@@ -247,7 +252,7 @@ def load_result(job: Job, seconds: float, reused: bool) -> Result:
     """Read what a flight left and score it. Raises UserError when something is missing."""
     flight = read_truth(job.folder / "truth.npz", job.reference.rows)
     adaptation = read_log(job.folder / "flight.ulg")
-    summary = load_json(job.folder / "truth.summary.json", _BridgeSummary, "summary of the bridge")
+    summary = load_json(job.folder / SUMMARY, _BridgeSummary, "summary of the bridge")
     score = score_flight(flight, adaptation, summary.link.late)
     return Result(job=job, flight=flight, adaptation=adaptation, score=score, seconds=seconds, reused=reused)
 

@@ -125,6 +125,8 @@ def load_scenario(path: Path) -> Scenario:
         raise UserError(f"{path}: modes: expected at least one of {', '.join(CHOICES)}, got none")
     if len(set(scenario.modes)) < len(scenario.modes):
         raise UserError(f"{path}: modes: expected each mode once, got {', '.join(scenario.modes)}")
+    for fault in scenario.flight.beyond_its_end():
+        raise UserError(f"{path}: flight.{fault}; let it begin earlier, or fly longer")
     if references.source == "file" and references.file is None:
         raise UserError(f"{path}: references.file: expected a CSV file, as references.source is 'file'; got none")
     if references.source == "random" and not references.seeds:
