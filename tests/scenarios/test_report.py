@@ -50,6 +50,7 @@ def test_the_page_is_whole_and_the_same_twice(flights: list[Result], tmp_path: P
     assert "Wings &amp; &lt;ice&gt;" in text
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)
     assert text.count("data:image/png;base64,") == 3  # side by side, and each mode
+    assert "the magnitude of the mean β error" in text  # as task.metrics divides
     assert "lost at 7.0 s" in text
     assert text.count("<tr") == 3 + 5  # two modes and four flights, with their headings
     for name in ("comparison", "none", "understudy-soft"):
