@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -12,10 +14,14 @@ import pytest
 
 from runtime.reference import load_reference
 from scenarios.references import build, csv_bytes, read, with_count
-from scenarios.schema import MODES, References, Scenario, available, find, load_scenario, to_toml
+from scenarios.schema import CHOICES, MODES, References, Scenario, available, find, load_scenario, to_toml
+from sim_bridge.air import Air
 from sim_bridge.conditions import FlightCondition
+from sim_bridge.faults import AnyFault
 from sim_bridge.flight import Flight
+from sim_bridge.sensors import SensorSettings
 from task.errors import UserError
+from task.reference import FAMILIES
 from task.state import REFERENCE
 
 
@@ -61,6 +67,18 @@ def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, line
     with pytest.raises(UserError, match=line) as caught:
         load_scenario(scenario_file(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_the_page_of_scenarios_knows_every_key(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text()
+    example = text.split("```toml\n")[1].split("```")[0]
+    assert load_scenario(scenario_file(tmp_path, example)).flight.faults
+    structs = (Scenario, References, Flight, FlightCondition, Air, SensorSettings, *get_args(AnyFault))
+    keys = {field.encode_name for struct in structs for field in msgspec.structs.fields(struct)}
+    keys |= {str(kind.__struct_config__.tag) for kind in get_args(AnyFault)} | set(CHOICES) | set(FAMILIES)
+    containers = {"flight", "references", "condition", "air", "sensors", "noise"}
+    said = set(re.findall(r"[\w-]+", " ".join(re.findall(r"`([^`\n]+)`", text))))
+    assert keys - containers <= said
 
 
 def test_a_scenario_that_is_not_there() -> None:
