@@ -10,6 +10,7 @@ import numpy as np
 from runtime.reference import COLUMNS, load_reference
 from scenarios.schema import References, Scenario
 from sim_bridge.conditions import FlightCondition
+from task.errors import UserError
 from task.limits import DT
 from task.reference import base_reference, n_samples, random_reference
 from task.state import STATE
@@ -74,4 +75,6 @@ def read(path: Path, samples: int) -> np.ndarray:
     Raises UserError.
     """
     reference = load_reference(path)
+    if reference.duration < 0.0:
+        raise UserError(f"{path}: expected rows up to t = 0 s at least, got none; let time start at 0")
     return np.array([reference.at(k * DT) for k in range(samples)])
