@@ -13,6 +13,7 @@ import click
 import msgspec
 
 from scenarios.cli import INTERRUPTED, console, default_jobs, fly_scenario
+from scenarios.outputs import prepare_folder
 from scenarios.references import with_count
 from scenarios.report import scores_by_mode, write_report
 from scenarios.run import find_population
@@ -150,6 +151,7 @@ def main(count: int, population: str | None, out: Path | None, results: Path, jo
     cast = find_population(population or scenario.population)
     name = "chapter8" if cast.name == scenario.population else f"chapter8_{cast.name}"
     out = out or Path("flights") / name
+    prepare_folder(results)
     screen = console()
     try:
         flown = fly_scenario(
@@ -163,7 +165,7 @@ def main(count: int, population: str | None, out: Path | None, results: Path, jo
     # Of the flights themselves, whenever they were flown: a resumed run took no less.
     spent = sum(result.seconds for result in flown) / (jobs or default_jobs(realtime=False))
     command = f"make chapter8 POPULATION=populations/{cast.name} ARGS='--references {count}'"
-    file = write(name, measured(scores, cast.name, scenario.references.seeds, spent, command), results)
+    file = write(name, measured(scores, cast.name, scenario.references.drawn(), spent, command), results)
     report = write_report(scenario, flown, out)
     screen.print(f"\n{file}\nReport: {report}")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import time
 from collections.abc import Sequence
@@ -13,8 +12,10 @@ from types import FrameType
 import click
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 
 from scenarios import schema
+from scenarios.outputs import claimed, copy, prepare_file
 from scenarios.processes import StoppedError
 from scenarios.references import build, with_count
 from scenarios.report import scores_by_mode, write_report
@@ -64,14 +65,15 @@ def fly_scenario(
 ) -> list[Result]:
     """Fly a scenario in ``modes`` and return the results; progress goes to ``screen``.
 
-    ``folder`` is where a relative reference file lies. Raises UserError, and KeyboardInterrupt after Ctrl-C or SIGTERM
+    ``folder`` is where a relative reference file lies. Raises UserError, also while another command flies into
+    ``out``, and KeyboardInterrupt after Ctrl-C or SIGTERM
     with every process ended.
     """
     cast = find_population(population)
     flights = plan(scenario.flight, build(scenario, folder), modes, cast, out, realtime)
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with Board(screen or console(), len(flights)) as board:
+        with claimed(out), Board(screen or console(), len(flights)) as board:
             return fly_all(flights, jobs or default_jobs(realtime), fresh, board)
     except StoppedError:
         raise KeyboardInterrupt from None
@@ -120,21 +122,22 @@ def fly(
         script = msgspec.structs.replace(script, references=with_count(script.references, count))
     chosen = chosen_modes(modes, script.modes)
     where = out or Path("flights") / path.stem
+    cast = find_population(population or script.population)
+    for wanted in (where / "report.html", where / "figures" / "comparison.png", picture):
+        if wanted is not None:
+            prepare_file(wanted)
     screen = console()
-    screen.print(f"[bold]{script.title}[/]")
+    screen.print(f"[bold]{escape(script.title)}[/]")
     try:
-        results = fly_scenario(
-            script, path.parent, chosen, population or script.population, where, realtime, jobs, fresh, screen
-        )
+        results = fly_scenario(script, path.parent, chosen, cast, where, realtime, jobs, fresh, screen)
     except KeyboardInterrupt:
         click.echo(f"understudy: stopped; what was flown is kept in {where}", err=True)
         raise SystemExit(INTERRUPTED) from None
     print_table(screen, script.title, summarise(scores_by_mode(results)))
     report = write_report(script, results, where)
     if picture is not None:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(where / "figures" / "comparison.png", picture)
-    screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {report}")
+        copy(where / "figures" / "comparison.png", picture)
+    screen.print(f"\n[dim]{len(results)} flights in {time.monotonic() - began:.0f} s.[/] Report: {escape(str(report))}")
 
 
 @click.command()

@@ -77,18 +77,25 @@ def _grid(figure: Figure, rows: int, ratios: Sequence[float], margins: Margins) 
 
 
 def _title(figure: Figure, title: str, tone: str) -> None:
+    """Write the title as it is: a scenario's may hold what matplotlib takes for formulas."""
     height = figure.get_size_inches()[1]
-    figure.text(0.012, 1.0 - 0.1 / height, title, ha="left", va="top", fontsize=11, fontweight="bold", color=tone)
+    figure.text(
+        0.012, 1.0 - 0.1 / height, title, ha="left", va="top", fontsize=11, fontweight="bold", color=tone,
+        parse_math=False,
+    )  # fmt: skip
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG of 256 colours; it holds no date, so that equal flights give equal pictures."""
+    """Write a figure as PNG; it holds no date, so that equal flights give equal pictures.
+
+    In full colour: a palette of 256 would go by area, and gives a member that flew for a moment another's colour.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(float(STYLE["savefig.dpi"]))
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.save(path, optimize=True)
     return path
 
 
@@ -123,7 +130,8 @@ def comparison(flown: Sequence[Flown], title: str) -> Figure:
         handles, labels = axes[0, 2].get_legend_handles_labels()
         reference = axes[0, 0].get_legend_handles_labels()[0][0]
         figure.legend([reference, *handles], ["reference", *labels], loc="upper right", ncols=3, borderaxespad=0.2)
-        _cast_legend(figure, tones, columns)
+        if tones:
+            _cast_legend(figure, tones, columns)
         _title(figure, title, INK)
     return figure
 
@@ -171,7 +179,7 @@ def _shared_limits(axes: np.ndarray, flown: Sequence[Flown], surface: ACTION) ->
         values += [np.degrees(f.flight.reference[:, channel]) for f in kept]
         limit(axes[0, column], np.concatenate(values), least=2.0)
     low, high = axes[0, 0].get_ylim()
-    axes[0, 0].set_ylim(low - 0.08 * (high - low), high)  # room for the strip
+    axes[0, 0].set_ylim(low - 0.08 * (high - low), high + 0.1 * (high - low))  # room for the strip and for labels
     values = [np.degrees(f.flight.command[:, surface]) for f in kept]
     limit(axes[0, 2], np.concatenate(values), least=2.0)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 
 from scenarios.score import Score
 from scenarios.trace import AdaptationTrace, FlightTrace
@@ -34,9 +35,17 @@ MODE_COLOURS = {
 """Okabe and Ito's colours, told apart by the colour-blind; the recipe gives the hue, hard or soft its depth."""
 ROOM_FOR_LABEL = 10.0
 """A fault that begins later than this [s] is named before its line, where no loss is marked over it."""
+LABEL_GROUND = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
+"""What a label in a panel stands on, so that curves behind it do not strike it through."""
 MOST_ROWS = 12
 """A larger cast does not get a row for each member."""
-CAST_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8c6d31", "#000000")
+CAST_COLOURS = (
+    "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8c6d31", "#000000", "#5500cc",
+    "#ff00cc", "#1a237e", "#ff1744", "#661100", "#7cb342", "#ffab91", "#7f7f7f", "#00ffcc", "#004d40", "#DDCC77",
+)  # fmt: skip
+"""Okabe and Ito's and as many more as keep away from each other (30 and more in CIELAB); then the same, paler."""
+PALER = 0.6
+"""How far towards white the second round of colours is taken."""
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -94,16 +103,17 @@ def colour(mode: str) -> str:
 
 def shade_fault(ax: Axes, flight: FlightTrace, label: bool = False) -> None:
     """Shade the times at which something is broken, and mark where it breaks."""
-    spans = flight.fault_spans()
-    for start, end in spans:
+    for start, end in flight.fault_spans():
         ax.axvspan(start, end, color=FAULT, alpha=0.09, lw=0, zorder=0)
+    onsets = flight.fault_onsets()
+    for start in onsets:
         ax.axvline(start, color=FAULT, lw=1.0, zorder=1)
-    if label and spans:
-        start = spans[0][0]
-        before = start > ROOM_FOR_LABEL
+    if label and onsets:
+        before = onsets[0] > ROOM_FOR_LABEL
         ax.annotate(
-            "fault", (start, 1.0), (-3 if before else 3, -2), xycoords=("data", "axes fraction"),
+            "fault", (onsets[0], 1.0), (-3 if before else 3, -1), xycoords=("data", "axes fraction"),
             textcoords="offset points", color="#9c4a7c", fontsize=8, va="top", ha="right" if before else "left",
+            zorder=5, bbox=LABEL_GROUND,
         )  # fmt: skip
 
 
@@ -117,7 +127,7 @@ def mark_loss(ax: Axes, flown: Flown) -> None:
     ax.annotate(
         f"lost at {lost_at:.1f} s", (lost_at, 0.5), (-4 if late else 4, 0), xycoords=("data", "axes fraction"),
         textcoords="offset points", ha="right" if late else "left", va="center", fontsize=8, fontweight="bold",
-        color=INK,
+        color=INK, zorder=5, bbox=LABEL_GROUND,
     )  # fmt: skip
 
 
@@ -167,9 +177,9 @@ def deflection(ax: Axes, flown: Flown, axis: ACTION) -> None:
 
 
 def cast_strip(ax: Axes, adaptation: AdaptationTrace, tones: dict[str, str]) -> None:
-    """Draw who flies as a coloured strip along the bottom edge."""
+    """Draw who flies as a coloured strip along the bottom edge; who flies alone needs none."""
     active, time = adaptation.active, adaptation.time
-    if not active.size:
+    if not active.size or alone(adaptation):
         return
     edges = np.concatenate([[0], np.flatnonzero(np.diff(active)) + 1, [active.size]])
     for start, stop in itertools.pairwise(edges):
@@ -183,15 +193,32 @@ def full_time(ax: Axes, flight: FlightTrace) -> None:
     ax.set_xlim(0.0, flight.planned_samples * DT)
 
 
+def alone(adaptation: AdaptationTrace) -> bool:
+    """Return whether there was nobody else to fly: the row's own title says who did."""
+    return len(adaptation.members) < 2
+
+
 def cast_colours(flown: Sequence[Flown]) -> dict[str, str]:
-    """Return a colour for each member, by name, that flew in any of the flights; the first to fly comes first."""
+    """Return a colour for each member of a cast, by name, that flew in any of the flights; the first to fly is first.
+
+    No two of forty members share one.
+    """
     order: dict[str, None] = {}
     for one in flown:
         names, active = one.adaptation.members, one.adaptation.active
-        if active.size:
+        if active.size and not alone(one.adaptation):
             indices = [active[0], *(s.member for s in one.adaptation.switches), *np.unique(active)]
             order.update(dict.fromkeys(names[i] for i in indices))
-    return {member: CAST_COLOURS[i % len(CAST_COLOURS)] for i, member in enumerate(order)}
+    return {member: _tone(i) for i, member in enumerate(order)}
+
+
+def _tone(index: int) -> str:
+    """Return the colour of the member that is the ``index``-th to fly."""
+    full = CAST_COLOURS[index % len(CAST_COLOURS)]
+    if index // len(CAST_COLOURS) % 2 == 0:
+        return full
+    red, green, blue = (share + PALER * (1.0 - share) for share in to_rgb(full))
+    return to_hex((red, green, blue))
 
 
 def who_flies(ax: Axes, adaptation: AdaptationTrace) -> None:
@@ -238,6 +265,8 @@ def innovations(ax: Axes, adaptation: AdaptationTrace, width: float = 0.25) -> N
         return
     block = max(1, round(width / float(time[1] - time[0])))
     usable = time.size // block * block
+    if not usable:
+        return  # lost before the first of them was over
     squares = np.square(innovation[:usable]).reshape(-1, block, innovation.shape[1]).mean(axis=1)
     rms = np.sqrt(squares)
     centre = time[:usable].reshape(-1, block).mean(axis=1)
@@ -246,4 +275,5 @@ def innovations(ax: Axes, adaptation: AdaptationTrace, width: float = 0.25) -> N
     for i, name in enumerate(adaptation.innovation_names):
         if name in shown and median[i] > 0.0:
             ax.semilogy(centre, rms[:, i] / median[i], lw=0.9, color=shown[name], label=SYMBOLS.get(name, name))
-    ax.legend(loc="lower right", ncols=6, borderaxespad=0.0, columnspacing=1.0, bbox_to_anchor=(1.0, 1.0))
+    if ax.lines:
+        ax.legend(loc="lower right", ncols=6, borderaxespad=0.0, columnspacing=1.0, bbox_to_anchor=(1.0, 1.0))

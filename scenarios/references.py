@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from runtime.reference import COLUMNS, load_reference
 from scenarios.schema import References, Scenario
 from sim_bridge.conditions import FlightCondition
-from task.config import read_bytes
 from task.errors import UserError
 from task.limits import DT
 from task.reference import base_reference, n_samples, random_reference
-from task.state import REFERENCE, STATE
+from task.state import STATE
 
-HEADER = ",".join(("t", *(signal.name for signal in REFERENCE)))
+HEADER = ",".join(COLUMNS)
 """Columns of a reference file: time [s], then angles [rad]."""
 
 
@@ -41,24 +41,24 @@ def build(scenario: Scenario, folder: Path) -> list[NamedReference]:
     spec, duration = scenario.references, scenario.flight.duration
     if spec.source == "file":
         path = folder / str(spec.file)
-        return [NamedReference(path.stem, read_csv(path, n_samples(duration)))]
+        return [NamedReference(path.stem, read(path, n_samples(duration)))]
     trim = trim_pitch(scenario.flight.condition)
     if spec.source == "base":
         return [NamedReference("base", base_reference(duration, trim))]
     return [
         NamedReference(
-            f"{spec.family}-{seed}", random_reference(np.random.default_rng(seed), duration, trim, spec.family)
+            f"{spec.kind()}-{seed}", random_reference(np.random.default_rng(seed), duration, trim, spec.kind())
         )
-        for seed in spec.seeds
+        for seed in spec.drawn()
     ]
 
 
 def with_count(spec: References, count: int) -> References:
     """Return a spec of ``count`` random references: the seeds given, then those that follow the largest."""
-    seeds = list(spec.seeds[:count])
+    seeds = list(spec.drawn()[:count])
     while len(seeds) < count:
         seeds.append(max(seeds, default=0) + 1)
-    return References(source="random", family=spec.family, seeds=tuple(seeds))
+    return References(source="random", family=spec.kind(), seeds=tuple(seeds))
 
 
 def csv_bytes(rows: np.ndarray) -> bytes:
@@ -69,21 +69,12 @@ def csv_bytes(rows: np.ndarray) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def read_csv(path: Path, samples: int) -> np.ndarray:
-    """Read a reference file onto the task's samples, shape (samples, 3) [rad]; its last row is held.
+def read(path: Path, samples: int) -> np.ndarray:
+    """Read a reference file as the runtime does, onto the task's samples, shape (samples, 3) [rad]; its last is held.
 
-    Raises UserError for a file that is missing or is no table of t, theta, phi, beta.
+    Raises UserError.
     """
-    lines = [line for line in read_bytes(path, "reference").decode(errors="replace").splitlines() if line.strip()]
-    if lines and lines[0].replace(" ", "") == HEADER:
-        lines = lines[1:]
-    try:
-        table = np.array([[float(cell) for cell in line.split(",")] for line in lines])
-    except ValueError:
-        table = np.zeros((0, 0))
-    if table.ndim != 2 or table.shape[1] != 1 + len(REFERENCE) or not np.isfinite(table).all():
-        raise UserError(f"{path}: not a reference; expected rows of {HEADER} [s, rad], all of them finite numbers")
-    if not (np.diff(table[:, 0]) > 0.0).all() or table[0, 0] > 0.0:
-        raise UserError(f"{path}: time must start at 0 s and rise from row to row")
-    grid = np.arange(samples) * DT
-    return np.column_stack([np.interp(grid, table[:, 0], column) for column in table[:, 1:].T])
+    reference = load_reference(path)
+    if reference.duration < 0.0:
+        raise UserError(f"{path}: expected rows up to t = 0 s at least, got none; let time start at 0")
+    return np.array([reference.at(k * DT) for k in range(samples)])

@@ -10,19 +10,21 @@ from typing import Any
 import jinja2
 
 from scenarios.figures import comparison, detail, save
+from scenarios.outputs import writing
 from scenarios.panels import MODE_COLOURS, Flown, verdict
 from scenarios.run import Result
 from scenarios.schema import Scenario, to_toml
 from scenarios.score import Score
 from scenarios.summary import Row, cells, summarise, text
 from sim_bridge.faults import SURFACES
+from sim_bridge.truth import write_whole
 
 EXPLANATION = (
-    "nMAE: mean over θ, φ and β of the mean absolute tracking error, divided by 20°, 20° and the larger of the mean β "
-    "error and 1°; "
-    "of true states, until the aircraft was lost. Sm: smoothness of the commands (eq. 16), higher is smoother. Step: "
-    "largest change of a command from one sample to the next. Late: samples that were not answered in time. "
-    "Means are over the flights that were not lost."
+    "nMAE: mean over θ, φ and β of the mean absolute tracking error, divided by 20°, 20° and the larger of 1° and "
+    "the magnitude of the mean β error, signs kept (a β that swings about zero is divided by 1°, a constant one by "
+    "itself); of true states, until the aircraft was lost. Sm: smoothness of the commands (eq. 16), higher is "
+    "smoother. Step: largest change of a command from one sample to the next. Late: samples that were not answered in "
+    "time. Means are over the flights that were not lost."
 )
 
 
@@ -43,7 +45,8 @@ def write_report(scenario: Scenario, results: Sequence[Result], out: Path) -> Pa
     headings, body = cells(rows)
     references = list(dict.fromkeys(r.job.reference.name for r in results))
     first = [_flown(r) for r in results if r.job.reference.name == references[0]]
-    pictures = _pictures(scenario, first, references, out / "figures")
+    with writing(out):
+        pictures = _pictures(scenario, first, references, out / "figures")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
@@ -64,7 +67,7 @@ def write_report(scenario: Scenario, results: Sequence[Result], out: Path) -> Pa
         colours=MODE_COLOURS,
     )
     path = out / "report.html"
-    path.write_text(page)
+    write_whole(path, lambda file: file.write(page.encode()))
     return path
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from scenarios.outputs import prepare_file
 from task.errors import UserError
 from task.results import Claim, Result, Table, read
 
@@ -20,7 +21,7 @@ def write_page(folder: Path, out: Path) -> int:
     files = sorted(folder.glob("*.json"))
     if not files:
         raise UserError(f"{folder}: no results (*.json); measure some first, as with 'make chapter8'")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    prepare_file(out)
     out.write_text(page({path.stem: read(path) for path in files}))
     return len(files)
 

@@ -15,17 +15,27 @@ from typing import Protocol
 
 import msgspec
 
+from scenarios.outputs import prepare_folder, writing
 from scenarios.processes import Process, StoppedError, free_port, supervise
 from scenarios.references import NamedReference, csv_bytes
 from scenarios.schema import Mode, to_toml
 from scenarios.score import Score, score_flight
 from scenarios.trace import AdaptationTrace, FlightTrace, read_log, read_truth
 from sim_bridge.flight import Flight
+from sim_bridge.truth import write_whole
 from task.config import load_json, to_json
 from task.errors import UserError
 from task.reference import n_samples
 
 ROOT = Path(__file__).resolve().parents[1]
+SUMMARY = "truth.summary.json"
+"""The bridge's summary in the folder of a flight."""
+LEFT = (
+    "finished.json", "flight.toml", "reference.csv", "runtime.log", "bridge.log", "truth.npz", SUMMARY,
+    "flight.ulg", "flight.config.json", "flight.summary.json",
+    "flight.[0-9]*.ulg", "flight.[0-9]*.config.json", "flight.[0-9]*.summary.json",
+)  # fmt: skip
+"""What a flight leaves in its folder, logs of a runtime that began anew among them."""
 BYTES_A_SAMPLE = 145
 """About what one sample of the flight log takes; for the progress bar alone."""
 
@@ -184,15 +194,13 @@ def fly(job: Job, stop: threading.Event | None = None, fresh: bool = False, obse
     observer = observer or Silent()
     inputs = inputs_digest(job)
     done = job.folder / "finished.json"
-    if not fresh and done.is_file():
-        before = load_json(done, Finished, "record of a flight")
-        if before.inputs == inputs:
-            result = load_result(job, before.seconds, reused=True)
-            observer.finished(job, result)
-            return result
-    job.folder.mkdir(parents=True, exist_ok=True)
-    for old in job.folder.iterdir():
-        old.unlink()
+    before = None if fresh else _before(done)
+    if before is not None and before.inputs == inputs:
+        result = load_result(job, before.seconds, reused=True)
+        observer.finished(job, result)
+        return result
+    prepare_folder(job.folder)
+    _clear(job.folder)
     observer.started(job)
     began = time.monotonic()
     try:
@@ -201,18 +209,38 @@ def fly(job: Job, stop: threading.Event | None = None, fresh: bool = False, obse
         raise UserError(f"{job.name}: {error}") from None
     seconds = round(time.monotonic() - began, 3)
     result = load_result(job, seconds, reused=False)
-    done.write_bytes(to_json(Finished(inputs=inputs, seconds=seconds)))
+    write_whole(done, lambda file: file.write(to_json(Finished(inputs=inputs, seconds=seconds))))
     observer.finished(job, result)
     return result
+
+
+def _before(done: Path) -> Finished | None:
+    """Return the record of an earlier flight, or None when there is none that can be read: it is flown again."""
+    try:
+        return load_json(done, Finished, "record of a flight") if done.is_file() else None
+    except UserError:
+        return None
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier flight left, its record first, and nothing else. Raises UserError before it removes."""
+    old = [path for pattern in LEFT for path in sorted(folder.glob(pattern))]
+    for path in old:
+        if path.is_dir() and not path.is_symlink():
+            raise UserError(f"{path}: is a folder where a flight writes a file; move it away")
+    with writing(folder):
+        for path in old:
+            path.unlink()
 
 
 def _fly_processes(job: Job, stop: threading.Event, moved: Callable[[float], None]) -> None:
     """Start runtime and bridge in the flight's folder and see them through."""
     folder = job.folder
     flight, reference = folder / "flight.toml", folder / "reference.csv"
-    log, truth = folder / "flight.ulg", folder / "truth.npz"
-    flight.write_text(to_toml(job.flight))
-    reference.write_bytes(csv_bytes(job.reference.rows))
+    log, truth, summary = folder / "flight.ulg", folder / "truth.npz", folder / SUMMARY
+    with writing(folder):
+        flight.write_text(to_toml(job.flight))
+        reference.write_bytes(csv_bytes(job.reference.rows))
     port = free_port()
     who = ["--law", job.mode.law] if job.mode.law else ["--population", str(job.population)]
     clock = ["--realtime"] if job.realtime else []
@@ -229,7 +257,10 @@ def _fly_processes(job: Job, stop: threading.Event, moved: Callable[[float], Non
         bridge = Process(
             "bridge",
             "sim_bridge",
-            ["--flight", str(flight), "--link", f"udpout:127.0.0.1:{port}", "--truth", str(truth), *clock],
+            [
+                *("--flight", str(flight), "--link", f"udpout:127.0.0.1:{port}"),
+                *("--truth", str(truth), "--summary", str(summary), *clock),
+            ],
             folder / "bridge.log",
         )
     except BaseException:
@@ -247,7 +278,10 @@ def load_result(job: Job, seconds: float, reused: bool) -> Result:
     """Read what a flight left and score it. Raises UserError when something is missing."""
     flight = read_truth(job.folder / "truth.npz", job.reference.rows)
     adaptation = read_log(job.folder / "flight.ulg")
-    summary = load_json(job.folder / "truth.summary.json", _BridgeSummary, "summary of the bridge")
+    try:
+        summary = load_json(job.folder / SUMMARY, _BridgeSummary, "summary of the bridge")
+    except UserError as error:
+        raise UserError(f"{error}; fly it again with --fresh") from None
     score = score_flight(flight, adaptation, summary.link.late)
     return Result(job=job, flight=flight, adaptation=adaptation, score=score, seconds=seconds, reused=reused)
 

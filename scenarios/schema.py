@@ -76,12 +76,24 @@ class References(Settings, frozen=True):
 
     source: Literal["base", "random", "file"] = "base"
     """Which of the three."""
-    family: FamilyName = "evaluation"
-    """Family of random references (``task.reference.FAMILIES``)."""
-    seeds: tuple[Seed, ...] = (1,)
-    """One random reference for each seed."""
+    family: FamilyName | None = None
+    """Family of random references (``task.reference.FAMILIES``); evaluation when none is named."""
+    seeds: tuple[Seed, ...] | None = None
+    """One random reference for each seed; (1,) when there are none."""
     file: str | None = None
-    """CSV of t, theta, phi, beta [s, rad], absolute angles; relative to the scenario's folder."""
+    """CSV or NPY of t, theta, phi, beta [s, rad], absolute angles; relative to the scenario's folder."""
+
+    def drawn(self) -> tuple[int, ...]:
+        """Return the seeds of random references."""
+        return (1,) if self.seeds is None else self.seeds
+
+    def kind(self) -> FamilyName:
+        """Return the family of random references."""
+        return self.family or "evaluation"
+
+
+USED_BY = {"family": "random", "seeds": "random", "file": "file"}
+"""Keys of the references that belong to one source."""
 
 
 class Scenario(Settings, frozen=True):
@@ -108,13 +120,12 @@ def available() -> dict[str, Path]:
 
 def find(name: str) -> Path:
     """Return the file of a scenario given by path or by bare name. Raises UserError."""
-    path = Path(name)
-    if path.suffix == ".toml" or path.exists():
+    known, path = available(), Path(name)
+    if name in known:  # whatever else is called so here: ./NAME is a file
+        return known[name]
+    if path.suffix == ".toml" or path.is_file():
         return path
-    known = available()
-    if name not in known:
-        raise UserError(f"scenario {name!r}: no such scenario; choose one of {', '.join(known)}, or give a .toml file")
-    return known[name]
+    raise UserError(f"scenario {name!r}: no such scenario; choose one of {', '.join(known)}, or give a .toml file")
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -125,11 +136,29 @@ def load_scenario(path: Path) -> Scenario:
         raise UserError(f"{path}: modes: expected at least one of {', '.join(CHOICES)}, got none")
     if len(set(scenario.modes)) < len(scenario.modes):
         raise UserError(f"{path}: modes: expected each mode once, got {', '.join(scenario.modes)}")
-    if references.source == "file" and references.file is None:
-        raise UserError(f"{path}: references.file: expected a CSV file, as references.source is 'file'; got none")
-    if references.source == "random" and not references.seeds:
-        raise UserError(f"{path}: references.seeds: expected at least one seed for {', '.join(FAMILIES)}; got none")
+    for fault in scenario.flight.beyond_its_end():
+        raise UserError(f"{path}: flight.{fault}; let it begin earlier, or fly longer")
+    _check(references, path)
     return scenario
+
+
+def _check(references: References, path: Path) -> None:
+    """See that the references' keys go together. Raises UserError."""
+    for key, source in USED_BY.items():
+        if getattr(references, key) is not None and references.source != source:
+            raise UserError(
+                f"{path}: references.{key}: expected with source = {source!r} alone, got source = "
+                f"{references.source!r}, which would not use it; say source = {source!r}, or leave it out"
+            )
+    if references.source == "file" and references.file is None:
+        raise UserError(
+            f"{path}: references.file: expected a CSV or NPY file, as references.source is 'file'; got none"
+        )
+    seeds = references.drawn()
+    if not seeds:
+        raise UserError(f"{path}: references.seeds: expected at least one seed for {', '.join(FAMILIES)}; got none")
+    if len(set(seeds)) < len(seeds):
+        raise UserError(f"{path}: references.seeds: expected each seed once, got {', '.join(map(str, seeds))}")
 
 
 def to_toml(settings: Settings) -> str:

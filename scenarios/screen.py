@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -43,7 +44,7 @@ class Board:
 
     def started(self, job: Job) -> None:
         """Show a bar for a flight that begins."""
-        self._tasks[job.name] = self._progress.add_task(job.name, total=1.0)
+        self._tasks[job.name] = self._progress.add_task(escape(job.name), total=1.0)
 
     def moved(self, job: Job, fraction: float) -> None:
         """Move its bar."""
@@ -61,14 +62,17 @@ class Board:
         with self._lock:
             self._count += 1
             self._console.print(
-                f"[dim]{self._count:>3}/{self._flights}[/]  {job.name:<32} {ended:<18} [dim]{how}[/]", highlight=False
+                f"[dim]{self._count:>3}/{self._flights}[/]  {escape(f'{job.name:<32}')} {ended:<18} [dim]{how}[/]",
+                highlight=False,
             )
 
 
 def print_table(console: Console, title: str, rows: Sequence[Row]) -> None:
     """Print one row for each mode; the best one is bold."""
     headings, body = cells(rows)
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1), header_style="dim")
+    table = Table(
+        title=escape(title), title_justify="left", title_style="bold", box=None, padding=(0, 1), header_style="dim"
+    )
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i == 0 else "right", no_wrap=True)
     best = best_row(rows)

@@ -5,15 +5,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import click
+from rich.markup import escape
 
 from scenarios.campaign.report import short
 from scenarios.cli import INTERRUPTED, chosen_modes, console, default_jobs, fly_scenario
+from scenarios.outputs import copy, prepare_folder
 from scenarios.report import scores_by_mode, write_report
 from scenarios.schema import Scenario, available, load_scenario
 from scenarios.screen import print_table
@@ -109,10 +110,12 @@ def main(names: tuple[str, ...], out: Path, results: Path, figures: Path | None,
     """Fly every scenario of --list in its own modes; write results/scenarios.json."""
     known, screen, spent = available(), console(), 0.0
     flown: dict[str, Flown] = {}
+    for folder in (results, *([figures] if figures else [])):
+        prepare_folder(folder)
     for name in names or known:
         scenario = load_scenario(known[name])
         modes = chosen_modes(None, scenario.modes)
-        screen.print(f"[bold]{name}: {scenario.title}[/]")
+        screen.print(f"[bold]{name}: {escape(scenario.title)}[/]")
         try:
             done = fly_scenario(
                 scenario, known[name].parent, modes, scenario.population, out / name, False, jobs, fresh, screen
@@ -125,8 +128,7 @@ def main(names: tuple[str, ...], out: Path, results: Path, figures: Path | None,
         print_table(screen, scenario.title, flown[name].rows)
         write_report(scenario, done, out / name)
         if figures is not None and name in PICTURED:
-            figures.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(out / name / "figures" / "comparison.png", figures / f"{name}.png")
+            copy(out / name / "figures" / "comparison.png", figures / f"{name}.png")
     command = "python -m scenarios.shipped" + "".join(f" --scenario {name}" for name in names)
     file = write(NAME, measured(flown, spent / (jobs or default_jobs(realtime=False)), command), results)
     screen.print(f"\n{file}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
@@ -32,6 +33,8 @@ class FlightTrace:
     """(T,) bool: whether any fault acts."""
     planned_samples: int
     """How many samples the flight was to have."""
+    onsets: tuple[float, ...] = ()
+    """When each fault begins [s], also while others act."""
 
     @property
     def fault_at(self) -> float | None:
@@ -43,6 +46,10 @@ class FlightTrace:
         """Return from when to when [s] anything is broken."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.faulty, [False]]).astype(int)))
         return [(float(self.time[a]), float(self.time[b - 1])) for a, b in edges.reshape(-1, 2)]
+
+    def fault_onsets(self) -> list[float]:
+        """Return the times [s] at which a fault begins, in order; where they are not recorded, when anything breaks."""
+        return sorted(set(self.onsets)) or [start for start, _ in self.fault_spans()]
 
 
 class Play(NamedTuple):
@@ -91,9 +98,9 @@ def read_truth(path: Path, reference: np.ndarray) -> FlightTrace:
             time_us, x, surfaces = truth["time_us"], truth["x"], truth["surfaces"]
             command, faults = truth["command"], truth["faults"]
     except FileNotFoundError:
-        raise UserError(f"{path}: no true states; the flight did not end; fly it again") from None
-    except (KeyError, ValueError, OSError, EOFError) as error:
-        raise UserError(f"{path}: not a record of the bridge: {error}; fly it again") from None
+        raise UserError(f"{path}: no true states; the flight did not end; fly it again with --fresh") from None
+    except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
+        raise UserError(f"{path}: not a record of the bridge: {error}; fly it again with --fresh") from None
     samples = min(len(x), len(reference))
     held = np.concatenate([command, command[-1:]])[:samples] if len(command) else np.zeros((samples, len(ACTION)))
     return FlightTrace(
@@ -104,13 +111,20 @@ def read_truth(path: Path, reference: np.ndarray) -> FlightTrace:
         surfaces=surfaces[:samples],
         faulty=faults[:samples].any(axis=1),
         planned_samples=len(reference),
+        onsets=_onsets(time_us[:samples] * 1e-6, faults[:samples] > 0.0),
     )
+
+
+def _onsets(time: np.ndarray, acting: np.ndarray) -> tuple[float, ...]:
+    """Return when each fault begins [s]; time: (T,) [s]; acting: (T, F) bool."""
+    before = np.vstack([np.zeros((1, acting.shape[1]), dtype=bool), acting[:-1]])
+    return tuple(float(time[k]) for k in np.nonzero(acting & ~before)[0])
 
 
 def read_log(path: Path) -> AdaptationTrace:
     """Read the runtime's flight log (ULog). Raises UserError when it is missing or lacks what belongs in it."""
     if not path.is_file():
-        raise UserError(f"{path}: no flight log; the runtime did not fly; fly it again")
+        raise UserError(f"{path}: no flight log; the runtime did not fly; fly it again with --fresh")
     try:
         with path.open("rb") as file:
             log = ULog(file)
@@ -118,7 +132,9 @@ def read_log(path: Path) -> AdaptationTrace:
         cycle, innovation = topics["cycle"], topics["innovation"]
         members = msgspec.json.decode(log.msg_info_dict["members"], type=list[str])
     except Exception as error:  # pyulog raises whatever its parser stumbles over
-        raise UserError(f"{path}: not a flight log of the runtime: {error!r}; fly it again") from None
+        raise UserError(f"{path}: not a flight log of the runtime: {error!r}; fly it again with --fresh") from None
+    # A log that was cut off may end between the two topics of a cycle.
+    whole = min(len(cycle["timestamp"]), len(innovation["timestamp"]))
     names = [s.name for s in STATE if s.name in innovation]
     play = topics.get("play")
     plays, switches = [], []
@@ -129,9 +145,9 @@ def read_log(path: Path) -> AdaptationTrace:
         changed = np.flatnonzero(play["action"])
         switches = [Switch(float(time[i]), int(play["member"][i])) for i in changed]
     return AdaptationTrace(
-        time=cycle["timestamp"] * 1e-6,
-        active=cycle["member"].astype(int),
-        innovation=np.stack([innovation[name] for name in names], axis=1).astype(float),
+        time=cycle["timestamp"][:whole] * 1e-6,
+        active=cycle["member"][:whole].astype(int),
+        innovation=np.stack([innovation[name][:whole] for name in names], axis=1).astype(float),
         members=members,
         innovation_names=names,
         plays=plays,

@@ -16,7 +16,7 @@ import msgspec
 from sim_bridge.bridge import Bridge, Summary
 from sim_bridge.codec import require_fast_checksums
 from sim_bridge.exchange import Timing
-from sim_bridge.flight import Flight
+from sim_bridge.flight import LONGEST, SHORTEST, Flight
 from sim_bridge.link import Link
 from sim_bridge.truth import prepare, write_whole
 from task.config import load_toml, to_json
@@ -43,30 +43,32 @@ class _Stop:
 
 
 class _Seconds(click.FloatRange):
-    """A time; click's range lets nan pass."""
+    """A number of seconds within a range; not-a-number, which no comparison finds, is outside."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the time; what is no number is refused."""
-        seconds = super().convert(value, param, ctx)
-        if math.isnan(seconds):
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
             self.fail(f"expected a number of seconds, got {value}", param, ctx)
-        return seconds
+        return number
 
 
-_SECONDS = _Seconds(min=0.0, max=86400.0, min_open=True)
+_WAIT = _Seconds(min=0.0, max=86400.0, min_open=True)
 
 
 @click.command()
 @click.option("--flight", "flight_path", type=Path, help="The flight, a TOML file (sim_bridge.flight.Flight).")
 @click.option("--link", "address", default=DEFAULT_LINK, show_default=True, help="Where the runtime is bound.")
 @click.option("--truth", type=Path, default=Path("truth.npz"), show_default=True, help="Where the true states go.")
-@click.option("--summary", type=Path, help="Where the summary goes.  [default: beside the truth, .summary.json]")
+@click.option("--summary", type=Path, help="Where the summary goes.  [default: beside the truth, .bridge.json]")
 @click.option("--realtime", is_flag=True, help="100 Hz of wall clock; without it, lockstep.")
 @click.option("--seed", type=click.IntRange(min=0), help="Overrides the flight's seed.")
-@click.option("--duration", type=_SECONDS, help="Overrides the flight's duration [s].")
-@click.option("--patience", type=_SECONDS, default=Timing().patience, show_default=True,
+@click.option("--duration", type=_Seconds(min=SHORTEST, max=LONGEST), help="Overrides the flight's duration [s].")
+@click.option("--patience", type=_WAIT, default=Timing().patience, show_default=True,
               help="How long nobody may answer before the flight is given up [s].")  # fmt: skip
-@click.option("--reply-timeout", type=_SECONDS, default=Timing().reply_timeout, show_default=True,
+@click.option("--reply-timeout", type=_WAIT, default=Timing().reply_timeout, show_default=True,
               help="How long one reply is waited for in lockstep [s].")  # fmt: skip
 def bridge(
     flight_path: Path | None,
@@ -85,8 +87,12 @@ def bridge(
     changes = {"seed": seed, "duration": duration}
     flight = msgspec.structs.replace(flight, **{k: v for k, v in changes.items() if v is not None})
     prepare(truth)
-    summary_path = summary or truth.with_suffix(".summary.json")
+    # Not .summary.json: that is the runtime's, beside a log of the same name.
+    summary_path = summary or truth.with_suffix(".bridge.json")
+    _keep_apart({"--flight": flight_path, "--truth": truth, "--summary": summary_path})
     prepare(summary_path)
+    for fault in flight.beyond_its_end():
+        click.echo(f"bridge: {fault}; it will not be seen", err=True)
     stop = _Stop()
     timing = Timing(patience=patience, reply_timeout=reply_timeout)
     with Link(address) as link:
@@ -95,6 +101,14 @@ def bridge(
     flown.truth.save(truth)
     write_whole(summary_path, lambda file: file.write(to_json(result)))
     _report(result, truth, stop.signal)
+
+
+def _keep_apart(files: dict[str, Path | None]) -> None:
+    """See that no file is written over another. Raises UserError."""
+    seen: dict[Path, str] = {}
+    for option, path in files.items():
+        if path is not None and (other := seen.setdefault(path.resolve(), option)) != option:
+            raise UserError(f"{option} {path}: is {other}'s file too; expected one of its own, give it another name")
 
 
 def _report(result: Summary, truth: Path, stopped_by: int) -> None:

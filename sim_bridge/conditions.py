@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
+
+import msgspec
 
 from task.config import Settings
+from task.reward import ALTITUDE_LIMIT
 
 
 class FlightCondition(Settings, frozen=True):
-    """A trimmed, wings-level flight: the plant is trimmed to it and the auto-throttle holds its speed."""
+    """A trimmed, wings-level flight: the plant is trimmed to it and the auto-throttle holds its speed.
 
-    altitude: float = 2000.0
-    """Altitude above sea level [m]."""
-    speed: float = 90.0
+    The bounds catch what makes no sense, degrees among them; whether there is a trim is found by searching for one.
+    """
+
+    altitude: Annotated[float, msgspec.Meta(ge=ALTITUDE_LIMIT, le=20000.0)] = 2000.0
+    """Altitude above sea level [m]; lower down a flight counts as lost."""
+    speed: Annotated[float, msgspec.Meta(ge=10.0, le=400.0)] = 90.0
     """True airspeed [m/s]."""
-    flight_path: float = math.radians(-3.0)
+    flight_path: Annotated[float, msgspec.Meta(ge=-math.pi / 2, le=math.pi / 2)] = math.radians(-3.0)
     """Flight path angle, positive up [rad]; the reference model starts on a 3 degree descent."""
-    heading: float = 0.0
+    heading: Annotated[float, msgspec.Meta(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
     """Heading [rad]."""
 
 

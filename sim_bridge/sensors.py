@@ -20,6 +20,15 @@ DRAWN = 128
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
+LARGEST: dict[str, tuple[float, str]] = {
+    **dict.fromkeys(("p", "q", "r"), (5.0, "rad/s")),
+    **dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), (3.15, "rad")),
+    "V": (200.0, "m/s"),
+    **dict.fromkeys(("h", "xe", "ye"), (10000.0, "m")),
+}
+"""Largest noise or bias of each signal and its unit: what is larger is a mistake, and nothing flies by it."""
+
+
 class SensorSettings(Settings, frozen=True):
     """How a flight's sensors are; the defaults are ideal."""
 
@@ -31,12 +40,13 @@ class SensorSettings(Settings, frozen=True):
     """Delay of all signals [s], rounded to samples."""
 
     def __post_init__(self) -> None:
-        """Check the numbers of the tables too."""
+        """Check each signal against the largest error of its kind."""
         super().__post_init__()
-        for what, table in (("noise", self.noise), ("bias", self.bias)):
-            for name, value in table.items():
-                if not math.isfinite(value):
-                    raise ValueError(f"{what}.{name}: expected a finite number, got {value}")
+        for field in ("noise", "bias"):
+            for name, value in getattr(self, field).items():
+                most, unit = LARGEST[name]
+                if not abs(value) <= most:  # not a number is never
+                    raise ValueError(f"{field}.{name}: expected at most {most:g} {unit} either way, got {value:g}")
 
 
 class Sensors:

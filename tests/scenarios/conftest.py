@@ -10,7 +10,7 @@ import pytest
 
 from scenarios.references import NamedReference
 from scenarios.run import Job, Result
-from scenarios.schema import MODES
+from scenarios.schema import CHOICES
 from scenarios.score import score_flight
 from scenarios.trace import AdaptationTrace, FlightTrace, Play, Switch
 from sim_bridge.flight import Flight
@@ -41,7 +41,7 @@ def result(mode: str = "understudy-soft", reference: str = "base", lost_at: floa
         plays=[Play(t, np.array([-3.0, -2.0, -3.1])) for t in (2.0, 4.0, 6.0, 8.0)],
         switches=[Switch(6.0, 1)],
     )
-    job = Job(Flight(duration=SECONDS), MODES[mode], NamedReference(reference, rows), Path("cast"), Path())
+    job = Job(Flight(duration=SECONDS), CHOICES[mode], NamedReference(reference, rows), Path("cast"), Path())
     return Result(job, flight, adaptation, score_flight(flight, adaptation), seconds=1.0, reused=False)
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -16,14 +17,15 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from rich.console import Console
 
-from scenarios import figures, report
-from scenarios.panels import Flown
+from scenarios import figures, report, trace
+from scenarios.panels import Flown, cast_colours, shade_fault
 from scenarios.report import scores_by_mode, write_report
 from scenarios.results_page import number, write_page
 from scenarios.run import Result
 from scenarios.schema import Scenario
 from scenarios.screen import print_table
 from scenarios.summary import summarise
+from scenarios.trace import read_log, read_truth
 from sim_bridge.faults import AnyFault, Crossed, Effectiveness
 from task.errors import UserError
 from task.results import Claim, Table, write
@@ -48,6 +50,7 @@ def test_the_page_is_whole_and_the_same_twice(flights: list[Result], tmp_path: P
     assert "Wings &amp; &lt;ice&gt;" in text
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)
     assert text.count("data:image/png;base64,") == 3  # side by side, and each mode
+    assert "the magnitude of the mean β error" in text  # as task.metrics divides
     assert "lost at 7.0 s" in text
     assert text.count("<tr") == 3 + 5  # two modes and four flights, with their headings
     for name in ("comparison", "none", "understudy-soft"):
@@ -105,6 +108,71 @@ def test_the_legend_of_the_cast_stays_on_the_page(
     assert shown.x1 <= page.bbox.x1
     assert len({round(text.get_window_extent().y0) for text in legend.get_texts()}) == lines
     assert shown.y1 <= min(ax.xaxis.label.get_window_extent().y0 for ax in page.axes[-3:])
+
+
+def casts(result: Result, members: int) -> Result:
+    """Return the flight as flown by one member after the other."""
+    active = np.arange(len(result.adaptation.time)) * members // len(result.adaptation.time)
+    names = [f"member {i}" for i in range(members)]
+    return replace(result, adaptation=replace(result.adaptation, members=names, active=active))
+
+
+def test_every_member_keeps_its_own_colour(make_result: Callable[..., Result], tmp_path: Path) -> None:
+    flown = casts(make_result(), 24)
+    tones = cast_colours([Flown("none", flown.flight, flown.adaptation, flown.score)])
+    assert len(set(tones.values())) == 24
+    write_report(Scenario(title="t", description="d"), [flown], tmp_path)
+    picture = np.round(imread(tmp_path / "figures" / "comparison.png") * 255).astype(int)[..., :3].reshape(-1, 3)
+    drawn = {f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in np.unique(picture, axis=0)}
+    assert {tone.lower() for tone in tones.values()} <= drawn
+
+
+def test_who_flies_alone_is_not_in_the_legend(make_result: Callable[..., Result]) -> None:
+    flown = [make_result(), casts(make_result("pid"), 1)]
+    shown = [Flown(one.job.mode.name, one.flight, one.adaptation, one.score) for one in flown]
+    assert list(cast_colours(shown)) == ["calm", "keen"]
+    assert len(figures.comparison(shown[1:], "t").legends) == 1  # no strip, nothing to say of it
+
+
+def test_a_fault_that_begins_while_another_acts_is_marked(make_result: Callable[..., Result]) -> None:
+    acting = np.array([[0, 0], [1, 0], [1, 0], [1, 1], [0, 1], [1, 1]], dtype=float)
+    flown = make_result()
+    np.savez(
+        file := io.BytesIO(), time_us=np.arange(6) * 10_000, x=flown.flight.x[:6], surfaces=np.zeros((6, 3)),
+        command=np.zeros((5, 3)), faults=acting,
+    )  # fmt: skip
+    file.seek(0)
+    flight = read_truth(file, flown.flight.reference)  # type: ignore[arg-type]
+    assert flight.fault_onsets() == pytest.approx([0.01, 0.03, 0.05])
+    assert flown.flight.fault_onsets() == [4.0]
+    panel = Figure().subplots()
+    shade_fault(panel, flight)
+    assert [line.get_xdata()[0] for line in panel.lines] == flight.fault_onsets()  # type: ignore[index]
+
+
+def test_a_flight_lost_at_once_is_drawn_without_a_warning(make_result: Callable[..., Result], tmp_path: Path) -> None:
+    write_report(Scenario(title="t"), [make_result(lost_at=0.1)], tmp_path)
+
+
+def test_a_log_cut_off_within_a_cycle_is_read_to_its_last_whole_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cycle = {"timestamp": np.arange(3) * 10_000, "member": np.zeros(3)}
+    innovation = {"timestamp": np.arange(2) * 10_000, "q": np.zeros(2)}
+    topics = [SimpleNamespace(name="cycle", data=cycle), SimpleNamespace(name="innovation", data=innovation)]
+    log = SimpleNamespace(data_list=topics, msg_info_dict={"members": '["calm"]'})
+    monkeypatch.setattr(trace, "ULog", lambda file: log)
+    (tmp_path / "cut.ulg").touch()
+    read = read_log(tmp_path / "cut.ulg")
+    assert (len(read.time), len(read.active), read.innovation.shape) == (2, 2, (2, 1))
+
+
+@pytest.mark.parametrize("title", ["Shift [/] of 0.25 [m]", "costs $\\frac$ and $x_$"])
+def test_a_title_is_shown_as_it_is(flights: list[Result], tmp_path: Path, title: str) -> None:
+    write_report(Scenario(title=title), flights, tmp_path)
+    screen = Console(file=io.StringIO(), width=160)
+    print_table(screen, title, summarise(scores_by_mode(flights)))
+    assert title in screen.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_the_table_on_the_terminal(flights: list[Result]) -> None:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
 import pytest
 
 from runtime.reference import load_reference
-from scenarios.references import build, csv_bytes, read_csv, with_count
-from scenarios.schema import MODES, References, Scenario, available, find, load_scenario, to_toml
+from scenarios.references import build, csv_bytes, read, with_count
+from scenarios.schema import CHOICES, MODES, References, Scenario, available, find, load_scenario, to_toml
+from sim_bridge.air import Air
 from sim_bridge.conditions import FlightCondition
+from sim_bridge.faults import AnyFault
 from sim_bridge.flight import Flight
+from sim_bridge.sensors import SensorSettings
 from task.errors import UserError
+from task.reference import FAMILIES
 from task.state import REFERENCE
 
 
@@ -36,8 +42,20 @@ def scenario_file(folder: Path, text: str) -> Path:
         ),
         ('title = "t"\n[flight]\nduration = -1.0', r"some\.toml: .*duration"),
         ('title = "t"\n[references]\nfamily = "wild"', r"some\.toml: .*'wild'.*references\.family"),
-        ('title = "t"\n[references]\nsource = "file"', r"some\.toml: references\.file: expected a CSV file"),
+        ('title = "t"\n[references]\nsource = "file"', r"some\.toml: references\.file: expected a CSV or NPY file"),
         ('title = "t"\n[references]\nsource = "random"\nseeds = []', r"some\.toml: references\.seeds: .*at least one"),
+        ('title = "t"\n[references]\nsource = "random"\nseeds = [3, 3]', r"references\.seeds: .*once, got 3, 3"),
+        ('title = "t"\n[references]\nfile = "r.csv"', r"references\.file: expected with source = 'file' alone"),
+        ('title = "t"\n[references]\nseeds = [1]', r"references\.seeds: .*source = 'random' alone, .* 'base'"),
+        ('title = "t"\n[references]\nfamily = "evaluation"', r"references\.family: .*source = 'random' alone"),
+        ('title = "t"\n[references]\nsource = "file"\nfile = "r.csv"\nseeds = [1]', r"references\.seeds: .*'file'"),
+        (
+            'title = "t"\n[flight]\nduration = 10.0\n[[flight.faults]]\nkind = "crossed"\nstart = 10.0',
+            r"some\.toml: flight\.faults\[0\]\.start: expected less than .* 10 s, got 10 s .*begin earlier",
+        ),
+        ('title = "t"\n[flight.condition]\nheading = 270.0', r"some\.toml: .*flight\.condition\.heading"),
+        ('title = "t"\n[flight.air]\nwind_north = nan', r"some\.toml: .*flight\.air\.wind_north"),
+        ('title = "t"\n[flight.sensors.bias]\nq = nan', r"some\.toml: bias\.q: expected .* 5 rad/s.*flight\.sensors"),
         ('title = "t"\nmodes = ["none", "magic"]', r"some\.toml: .*'magic'.*modes"),
         ('title = "t"\nmodes = ["none", "none"]', r"some\.toml: modes: expected each mode once"),
         ('title = "t"\nmodes = []', r"some\.toml: modes: expected at least one"),
@@ -49,6 +67,18 @@ def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, line
     with pytest.raises(UserError, match=line) as caught:
         load_scenario(scenario_file(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_the_page_of_scenarios_knows_every_key(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text()
+    example = text.split("```toml\n")[1].split("```")[0]
+    assert load_scenario(scenario_file(tmp_path, example)).flight.faults
+    structs = (Scenario, References, Flight, FlightCondition, Air, SensorSettings, *get_args(AnyFault))
+    keys = {field.encode_name for struct in structs for field in msgspec.structs.fields(struct)}
+    keys |= {str(kind.__struct_config__.tag) for kind in get_args(AnyFault)} | set(CHOICES) | set(FAMILIES)
+    containers = {"flight", "references", "condition", "air", "sensors", "noise"}
+    said = set(re.findall(r"[\w-]+", " ".join(re.findall(r"`([^`\n]+)`", text))))
+    assert keys - containers <= said
 
 
 def test_a_scenario_that_is_not_there() -> None:
@@ -107,7 +137,7 @@ def test_a_reference_file_is_exact_and_the_runtime_reads_the_same(tmp_path: Path
     rows = build(Scenario(title="t", flight=Flight(duration=20.0)), Path())[0].rows
     path = tmp_path / "reference.csv"
     path.write_bytes(csv_bytes(rows))
-    np.testing.assert_allclose(read_csv(path, len(rows)), rows, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(read(path, len(rows)), rows, rtol=0, atol=1e-12)
     np.testing.assert_allclose(load_reference(path).preview(0.0, len(rows)), rows, rtol=0, atol=1e-7)
     scenario = Scenario(
         title="t", flight=Flight(duration=20.0), references=References(source="file", file="reference.csv")
@@ -120,14 +150,34 @@ def test_a_reference_file_is_exact_and_the_runtime_reads_the_same(tmp_path: Path
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("t,theta,phi,beta\n0,0,0\n", "not a reference; expected rows of t,theta,phi,beta"),
-        ("t,theta,phi,beta\n0,0,0,nan\n", "not a reference"),
-        ("", "not a reference"),
-        ("0,0,0,0\n0,0,0,0\n", "time must start at 0 s and rise"),
+        ("t,theta,phi,beta\n0,0,0\n", "row 1: expected 4 numbers, got 3"),
+        ("t,theta,phi,beta\n0,0,0,nan\n", "row 1 is not finite"),
+        ("", "bad.csv: expected shape"),
+        ("0,0,0,0\n0,0,0,0\n", "time must rise"),
+        ("-2,0,0,0\n-1,0,0,0\n", "expected rows up to t = 0 s"),
+        ("0,0,0,0\n1,12,0,0\n", "are these degrees"),
     ],
 )
 def test_a_bad_reference_file_is_one_line(tmp_path: Path, text: str, line: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(UserError, match=line):
-        read_csv(path, 10)
+        read(path, 10)
+
+
+def test_a_reference_file_may_be_whatever_the_runtime_reads(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_text("# by hand\n0, 0.1, 0, 0\n0.02, 0.3, 0, 0\n")
+    np.testing.assert_allclose(read(tmp_path / "r.csv", 4)[:, REFERENCE.theta], [0.1, 0.2, 0.3, 0.3])
+    np.save(tmp_path / "r.npy", [[0.0, 0.1, 0.0, 0.0], [0.02, 0.3, 0.0, 0.0]])
+    assert (read(tmp_path / "r.npy", 4) == read(tmp_path / "r.csv", 4)).all()
+
+
+def test_a_bare_name_is_the_shipped_scenario_whatever_lies_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nominal").mkdir()
+    (tmp_path / "mine").mkdir()
+    assert find("nominal") == available()["nominal"]
+    with pytest.raises(UserError, match="scenario 'mine': no such scenario"):
+        find("mine")

@@ -1,0 +1,64 @@
+"""Where a command writes: seen to before anything flies, and claimed by one command at a time."""
+
+from __future__ import annotations
+
+import fcntl
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sim_bridge.truth import write_whole
+from task.errors import UserError
+
+LOCK = ".flying"
+"""A file in the folder of a scenario that the command which flies there keeps locked; the lock ends with it."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what the system says of a file that cannot be written into a UserError."""
+    try:
+        yield
+    except OSError as error:
+        where = error.filename or path
+        raise UserError(f"{where}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder for outputs and try it with a file. Raises UserError.
+
+    A file is what finds out: /proc and others let folders be asked, and asked for, that take none.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+
+
+def prepare_file(path: Path) -> None:
+    """Make the folder of an output and see that a file of its name can be there. Raises UserError."""
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; expected the name of a file to write")
+    prepare_folder(path.parent)
+
+
+def copy(source: Path, path: Path) -> None:
+    """Copy a file, whole or not at all. Raises UserError."""
+    write_whole(path, lambda file: file.write(source.read_bytes()))
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Keep a folder of flights to this command. Raises UserError while another flies there."""
+    prepare_folder(folder)
+    with writing(folder):
+        lock = (folder / LOCK).open("w")
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(
+                f"{folder}: another command flies there now; wait for it, or fly elsewhere with --out"
+            ) from None
+        yield
