@@ -20,15 +20,19 @@ def write_page(folder: Path, out: Path) -> int:
     files = sorted(folder.glob("*.json"))
     if not files:
         raise UserError(f"{folder}: no results (*.json); measure some first, as with 'make chapter8'")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(page({path.stem: read(path) for path in files}))
+    text = page({path.stem: read(path) for path in files})
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"--out {out}: cannot write there: {error.strerror}; choose another file") from None
     return len(files)
 
 
-def page(results: dict[str, Result]) -> str:
-    """Return the page; equal results give equal text."""
+def page(results: dict[str, Result], head: str = HEAD) -> str:
+    """Return the page below ``head``; equal results give equal text."""
     contents = "".join(f"- [{result.title}](#{name})\n" for name, result in results.items())
-    return "\n".join([HEAD, contents, *(_section(name, result) for name, result in results.items())])
+    return "\n".join([head, contents, *(_section(name, result) for name, result in results.items())])
 
 
 def _section(name: str, result: Result) -> str:
