@@ -49,7 +49,9 @@ def test_a_bad_override_is_one_line(overrides, line):
         ("[adaptation]\nkapa = 1\n", "kapa"),
         ("[adapt]\nkappa = 1\n", "adapt"),
         ("adaptation = 3\n", "adaptation"),
-        ('preset = "best"\n', "preset 'best': unknown"),
+        ('preset = "best"\n', r"mine\.toml: preset 'best': unknown"),
+        ("preset = [1]\n", r"mine\.toml: preset \[1\]: unknown; choose one of understudy"),
+        ("preset = {a = 1}\n", "preset {'a': 1}: unknown"),
         ("kappa 1\n", "not valid TOML"),
     ],
 )
