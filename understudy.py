@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import os
 import sys
+from collections.abc import Iterator
 
 import click
 
@@ -58,6 +60,16 @@ class LazyGroup(click.Group):
 @click.version_option(package_name="understudy")
 def cli() -> None:
     """Understudy: keep an aircraft flying well after it has suddenly changed."""
+
+
+@contextlib.contextmanager
+def stopping(how_to_go_on: str) -> Iterator[None]:
+    """Turn Ctrl-C in what is within into one line and exit code 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"understudy: stopped; {how_to_go_on}", err=True)
+        sys.exit(INTERRUPTED)
 
 
 def run(command: click.Command | str) -> None:

@@ -25,12 +25,13 @@ from scenarios.campaign.store import Journal, read_campaign, write_parquet
 from scenarios.campaign.suites import HALVES, SUITES, Half, load_suite
 from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
-from scenarios.cli import INTERRUPTED, console, default_jobs
+from scenarios.cli import console, default_jobs
 from scenarios.results_page import page
 from scenarios.run import find_population
 from task.errors import UserError
 from task.files import make_folder
 from task.results import Result, read, write
+from understudy import stopping
 
 QUICK = ("none", "F5 elevator x 0.3", "elevator x -1", "commands 100 ms late")
 """Faults of ``--quick``: one of each kind."""
@@ -166,11 +167,8 @@ def main(
         where = out or Path("flights/campaign") / f"{folder.name}-{half}"
         check_folders(where, results, figures)
         jobs = jobs or default_jobs(realtime=False)
-        try:
+        with stopping(f"what was flown is kept in {where}, the same command goes on"):
             done = fly(tasks, folder, cast.sha256, where, jobs, any_version, screen)
-        except KeyboardInterrupt:
-            click.echo(f"understudy: stopped; what was flown is kept in {where}, the same command goes on", err=True)
-            raise SystemExit(INTERRUPTED) from None
         records, spent = [r for d in done for r in d.records], sum(d.seconds for d in done) / jobs
         information = {
             "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
