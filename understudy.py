@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
+import os
 import sys
+from collections.abc import Iterator
 
 import click
 
 from task.errors import UserError
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
 COMMANDS = {
     "fly": ("scenarios.cli:fly", "Fly a scripted scenario in several modes and report."),
@@ -55,13 +62,44 @@ def cli() -> None:
     """Understudy: keep an aircraft flying well after it has suddenly changed."""
 
 
-def run(command: click.Command) -> None:
-    """Run a command; a UserError becomes its one line on stderr and exit code 2."""
+@contextlib.contextmanager
+def stopping(how_to_go_on: str) -> Iterator[None]:
+    """Turn Ctrl-C in what is within into one line and exit code 130."""
     try:
-        command()
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"understudy: stopped; {how_to_go_on}", err=True)
+        sys.exit(INTERRUPTED)
+
+
+def run(command: click.Command | str) -> None:
+    """Run a command; a UserError becomes its one line on stderr and exit code 2, Ctrl-C one line and exit code 130.
+
+    ``module:name`` is imported first: what goes wrong there is said in the same way.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # no terminal is too poor for a report
+    os.environ["MPLBACKEND"] = "agg"  # pictures go into files, whatever the environment names
+    try:
+        code = _named(command).main(standalone_mode=False)
     except UserError as error:
         click.echo(f"understudy: {error}", err=True)
         sys.exit(2)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("understudy: stopped", err=True)
+        sys.exit(INTERRUPTED)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _named(command: click.Command | str) -> click.Command:
+    if isinstance(command, click.Command):
+        return command
+    module, name = command.split(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def main() -> None:

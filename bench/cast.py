@@ -31,6 +31,7 @@ from task.limits import ACTION_HIGH, ACTION_LOW, DT
 from task.reference import random_reference
 from task.results import write
 from task.state import N_REFERENCE, STATE
+from understudy import run
 
 PEERS: tuple[LawName, ...] = ("pid", "indi", "indi-rls-signfree")
 PICTURE = Path("docs/img/cast_coverage.png")
@@ -215,4 +216,4 @@ def protocol_words(protocol: Protocol) -> Mapping[str, float]:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

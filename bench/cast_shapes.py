@@ -24,6 +24,7 @@ from export.network import Layer, Network, flatten, n_parameters, unflatten
 from task.config import convert
 from task.reference import random_reference
 from task.results import Claim, Result, Table, write
+from understudy import run
 
 SEED = 30_000_001
 START = 0.1
@@ -165,4 +166,4 @@ def main(population: Path, frames: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

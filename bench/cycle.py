@@ -42,6 +42,7 @@ from task.model import N_REGRESSORS
 from task.observation import observation
 from task.results import Claim, Result, Table, write
 from task.state import N_IDENTIFIED, N_OBSERVATION, STATE
+from understudy import run
 
 CALLS = 200
 ROUNDS = 40
@@ -333,4 +334,4 @@ def main(population: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

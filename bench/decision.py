@@ -38,6 +38,7 @@ from task.reference import random_reference
 from task.results import Claim, Result, Table, write
 from task.reward import terminated
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, N_OBSERVATION, OBSERVATION, STATE
+from understudy import run
 
 GYRO = 6.3e-4
 """Standard deviation of the gyros' noise in the thesis's case R3 [rad/s]."""
@@ -141,7 +142,13 @@ def fly(population: Loaded, plant: Plant, delay: int, seed: int, method: str, lo
 
 
 @click.command()
-@click.option("--references", default=6, show_default=True, help="Random references for each delay and method.")
+@click.option(
+    "--references",
+    type=click.IntRange(1),
+    default=6,
+    show_default=True,
+    help="Random references for each delay and method.",
+)
 def main(references: int) -> None:
     """Measure and write results/decision.json."""
     began = time.perf_counter()
@@ -194,4 +201,4 @@ def main(references: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -43,6 +43,7 @@ from task.model import DYNAMIC, embed_reduced
 from task.reference import base_reference
 from task.results import Claim, Result, Table, write
 from task.state import STATE
+from understudy import run
 
 SEED = 0
 LAG = 1
@@ -229,7 +230,7 @@ def claims_of(label: str, ms: dict[str, float]) -> list[Claim]:
 
 
 @click.command()
-@click.option("--rounds", default=9, show_default=True)
+@click.option("--rounds", type=click.IntRange(1), default=9, show_default=True)
 @click.option("--before", "revision", help="Also measure the graph that this git revision built.")
 def main(rounds: int, revision: str | None) -> None:
     """Measure and write results/imagination.json."""
@@ -274,4 +275,4 @@ def main(rounds: int, revision: str | None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -30,6 +30,7 @@ from task.observation import tracking_error
 from task.reference import base_reference
 from task.results import Claim, Result, Table, write
 from task.state import STATE
+from understudy import run
 
 DURATION = 80.0
 """Of a flight [s]."""
@@ -151,4 +152,4 @@ def _result(flights: dict[str, dict[str, Flown]], seconds: float) -> Result:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -24,6 +24,7 @@ from sim_bridge.codec import Codec, read_command
 from task.limits import DEFLECTION_LIMIT
 from task.results import Claim, Result, Table, write
 from task.state import STATE
+from understudy import run
 
 BUFFER = 4096
 ORIGIN = 2000.0
@@ -199,8 +200,10 @@ def measure(rounds: int, trips: int) -> list[np.ndarray]:
 
 
 @click.command()
-@click.option("--rounds", default=10, show_default=True)
-@click.option("--trips", default=1000, show_default=True, help="Round trips of each variant in a round.")
+@click.option("--rounds", type=click.IntRange(1), default=10, show_default=True)
+@click.option(
+    "--trips", type=click.IntRange(1), default=1000, show_default=True, help="Round trips of each variant in a round."
+)
 def main(rounds: int, trips: int) -> None:
     """Measure and write results/link.json."""
     began = time.perf_counter()
@@ -233,4 +236,4 @@ def main(rounds: int, trips: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -29,6 +29,7 @@ from task.reference import FamilyName, random_reference
 from task.results import Claim, Result, Table, write
 from task.reward import terminated
 from task.state import N_ACTION, N_IDENTIFIED, STATE
+from understudy import run
 
 TRIMS = (
     FlightCondition(altitude=2500.0, speed=92.0),
@@ -144,4 +145,4 @@ def main(population: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

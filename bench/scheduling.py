@@ -27,6 +27,7 @@ from task.model import embed_reduced, predict_increment
 from task.results import Claim, Result, Table, write
 from task.scheduling import scheduled
 from task.state import STATE
+from understudy import run
 
 TRIMS = {
     "2000 m, 90 m/s": NOMINAL,
@@ -116,4 +117,4 @@ def main(population: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -30,6 +30,7 @@ from task import results
 from task.limits import DEFLECTION_LIMIT
 from task.observation import observation
 from task.reward import terminated, tracking_reward
+from understudy import run
 
 SEED = 0
 TARGET = 20.0
@@ -160,7 +161,13 @@ def rate(work: Callable[[], int], seconds: float) -> float:
 
 @click.command()
 @click.option("--config", "name", default="serl50", show_default=True)
-@click.option("--seconds", default=20.0, show_default=True, help="Spent on each of the four measurements.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.1, 3600.0),
+    default=20.0,
+    show_default=True,
+    help="Spent on each of the four measurements.",
+)
 def main(name: str, seconds: float) -> None:
     """Measure frames and updates a second, ours and in the published style; write results/bench_train.json."""
     torch.set_num_threads(1)
@@ -269,4 +276,4 @@ def main(name: str, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -33,6 +33,7 @@ from task.observation import tracking_error
 from task.reference import base_reference
 from task.reward import terminated
 from task.state import N_ACTION, N_STATE, STATE
+from understudy import run
 
 DURATION = 40.0
 """Of a tuning flight [s]."""
@@ -181,8 +182,16 @@ def rounded(value: float) -> float:
 
 
 @click.command()
-@click.option("--evaluations", default=25, show_default=True, help="Cost evaluations for each loop and round.")
-@click.option("--rounds", default=2, show_default=True, help="How often all loops are gone through.")
+@click.option(
+    "--evaluations",
+    type=click.IntRange(1),
+    default=25,
+    show_default=True,
+    help="Cost evaluations for each loop and round.",
+)
+@click.option(
+    "--rounds", type=click.IntRange(1), default=2, show_default=True, help="How often all loops are gone through."
+)
 @click.option("--out", type=Path, default=SETTINGS, show_default=True)
 def main(evaluations: int, rounds: int, out: Path) -> None:
     """Tune the laws and write their settings."""
@@ -198,4 +207,4 @@ def main(evaluations: int, rounds: int, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

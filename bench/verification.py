@@ -31,6 +31,7 @@ from task.observation import tracking_error
 from task.reference import BASE_PHI, BASE_THETA, base_reference, n_samples
 from task.results import Claim, Result, Table, write
 from task.state import ACTION, REFERENCE, STATE
+from understudy import run
 
 STEP = math.radians(0.5)
 """Elevator step of thesis figure 9.1 [rad]."""
@@ -329,4 +330,4 @@ def main(runs: Path, episodes: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

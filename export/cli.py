@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from export.folder import write_population
+from export.folder import check_place, write_population
 from export.gains import with_gains
 from export.mirrors import with_mirrors
 from export.population import TRAINING_RECORDS, load_run
@@ -17,6 +17,7 @@ from export.study.campaign import STORE
 from export.study.show import flights_progress
 from task.config import load_toml
 from task.errors import UserError
+from understudy import stopping
 
 
 @click.command()
@@ -42,6 +43,7 @@ from task.errors import UserError
 @click.option(
     "--gains", is_flag=True, help="Add the champion with stronger and weaker answers to sideslip, rates and errors."
 )
+@stopping("the population is as it was, flights that were screened are kept; the same command goes on")
 def export(
     run: Path,
     population: Path,
@@ -64,6 +66,7 @@ def export(
     settings = load_toml(prior_file, PriorSettings, "prior settings") if prior_file else PriorSettings()
     if no_screening and only_fit:
         raise UserError("--only-fit: who is fit is what the screening says; export without --no-screening")
+    check_place(population)
     trained = load_run(run)
     if mirrors:
         trained = with_mirrors(trained, str(run))

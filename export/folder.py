@@ -25,6 +25,7 @@ from export.prior import COMMAND_LAG, Prior
 from task.actuators import HEALTHY
 from task.config import to_json
 from task.errors import UserError
+from task.files import make_folder
 from task.model import embed_reduced
 from task.rates import RATE_MODEL_VERSION, RateModel
 
@@ -63,9 +64,7 @@ def write_population(
     population does not hold together or ``folder`` holds something else.
     """
     checked(population, folder.name)
-    if folder.exists() and not (folder.is_dir() and ((folder / MANIFEST).exists() or not any(folder.iterdir()))):
-        raise UserError(f"{folder}: exists and is not a population; choose another folder or remove it")
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    check_place(folder)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
         made = Path(temporary) / "new"
         made.mkdir()
@@ -78,6 +77,13 @@ def write_population(
             folder.rename(Path(temporary) / "old")
         made.rename(folder)
     return manifest
+
+
+def check_place(folder: Path) -> None:
+    """Raise UserError unless a population can be written to ``folder``."""
+    if folder.exists() and not (folder.is_dir() and ((folder / MANIFEST).exists() or not any(folder.iterdir()))):
+        raise UserError(f"{folder}: exists and is not a population; choose another folder or remove it")
+    make_folder(folder.parent, str(folder))
 
 
 def _fill(

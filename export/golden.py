@@ -17,6 +17,11 @@ from task.reference import cosine_steps
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE, REFERENCE, STATE, TRACKED
 
 GOLDEN_OBSERVATIONS = 4
+SMALLER, SMALLEST = 4.0, 4
+"""Where the answers to them are at their bounds there are more observations, each time so much smaller; at most so many
+times."""
+FREE = 0.9
+"""An answer below this share of its bound is free: what changes in the parameters is seen in it."""
 GOLDEN_STEPS = 50
 GOLDEN_DELAY = 3
 GOLDEN_ACTUATORS = np.array([[-0.03, 0.042, 0.002], [-0.01, 0.05, 0.012], [0.3, 0.5, 0.1]], np.float32).astype(float)
@@ -71,13 +76,34 @@ class GoldenLaws(Settings, frozen=True):
 
 
 def golden_actions(population: Population, seed: int = 0) -> GoldenActions:
-    """Return observations of the size that flights bring, and every member's answer."""
+    """Return observations of the size that flights bring, and every member's answer.
+
+    Members with high gains answer these with full deflections, whatever their parameters: for them there are smaller
+    ones besides.
+    """
     rng = np.random.default_rng(seed)
     size = np.full(N_OBSERVATION, 0.2)
-    observations = rng.uniform(-size, size, (GOLDEN_OBSERVATIONS, N_OBSERVATION)).astype(np.float32).astype(float)
-    tensors = unflatten(population.network, population.parameters.astype(float))
-    actions = np.stack([forward(population.network, tensors, s) for s in observations], axis=1)
+    asked = rng.uniform(-size, size, (GOLDEN_OBSERVATIONS, N_OBSERVATION)).astype(np.float32).astype(float)
+    observations, actions = asked, _answers(population, asked)
+    for _ in range(SMALLEST):
+        if _free(population, actions).any(axis=1).all():
+            break
+        asked = (asked / SMALLER).astype(np.float32).astype(float)
+        observations = np.concatenate([observations, asked])
+        actions = np.concatenate([actions, _answers(population, asked)], axis=1)
     return GoldenActions(observations=observations.tolist(), actions=actions.tolist(), tolerance=2e-5)
+
+
+def _answers(population: Population, observations: np.ndarray) -> np.ndarray:
+    """Return every member's answer to observations (n, 7), (P, n, 3) [rad]."""
+    tensors = unflatten(population.network, population.parameters.astype(float))
+    return np.stack([forward(population.network, tensors, s) for s in observations], axis=1)
+
+
+def _free(population: Population, actions: np.ndarray) -> np.ndarray:
+    """Return which answers (P, n, 3) are away from their bounds."""
+    network = population.network
+    return np.abs(actions - np.array(network.action_offset)) < FREE * np.abs(network.action_scale)
 
 
 def golden_imagination(population: Population, prior: Prior, lag: int = COMMAND_LAG) -> GoldenImagination:

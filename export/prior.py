@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from sim_bridge.conditions import NOMINAL, FlightCondition
 from sim_bridge.plant import Plant
 from task.config import Settings
-from task.limits import ACTION_HIGH, ACTION_LOW, DT
+from task.errors import UserError
+from task.limits import ACTION_HIGH, ACTION_LOW, DEFLECTION_LIMIT, DT
 from task.model import DYNAMIC, REDUCED_REGRESSORS
 from task.observation import observation
 from task.reference import FamilyName, random_reference
@@ -24,22 +27,31 @@ COMMAND_LAG = 1
 class PriorSettings(Settings, frozen=True):
     """How the model prior is made."""
 
-    conditions: tuple[FlightCondition, ...] = (NOMINAL,)
+    conditions: Annotated[tuple[FlightCondition, ...], Meta(min_length=1)] = (NOMINAL,)
     """Trims whose flights are pooled."""
-    flights: int = 6
+    flights: Annotated[int, Meta(ge=1, le=1000)] = 6
     """Flights at each trim, each with its own random evaluation reference and excitation."""
-    duration: float = 40.0
+    duration: Annotated[float, Meta(ge=5.0, le=600.0)] = 40.0
     """Length of each flight [s]."""
-    amplitude: float = float(np.deg2rad(0.5))
+    amplitude: Annotated[float, Meta(gt=0.0, le=DEFLECTION_LIMIT)] = float(np.deg2rad(0.5))
     """Root mean square of the excitation on each surface [rad]."""
     band: tuple[float, float] = (0.1, 4.0)
     """Lowest and highest frequency of the excitation [Hz]."""
     family: FamilyName = "evaluation"
     """Family of references that the flights follow."""
-    samples: float = 1000.0
+    samples: Annotated[float, Meta(gt=0.0)] = 1000.0
     """How many samples of such flights the prior counts for: P0 = (samples E[z z'])^-1."""
-    seed: int = 0
+    seed: Annotated[int, Meta(ge=0)] = 0
     """Of references and excitation."""
+
+    def __post_init__(self) -> None:
+        """Check what single fields cannot."""
+        low, high = self.band
+        if not 0.0 < low < high <= 0.5 / DT or math.floor(high * self.duration) - math.ceil(low * self.duration) < 2:
+            raise ValueError(
+                f"band: expected frequencies in order, up to {0.5 / DT:g} Hz, with one for each surface between them "
+                f"in {self.duration:g} s, got [{low:g}, {high:g}]"
+            )
 
 
 class Prior(NamedTuple):
@@ -96,7 +108,7 @@ def excited_flight(
         state = plant.step(commands[-1])
         states.append(state[:N_IDENTIFIED].copy())
         if terminated(state):
-            raise RuntimeError(f"the stabilising law lost the healthy aircraft at {condition}")
+            raise UserError(f"prior: the healthy aircraft is lost at {condition}; fly the prior's flights elsewhere")
     return np.array(states), np.array(commands)
 
 

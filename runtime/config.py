@@ -283,7 +283,6 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     """Name of the member that flies first; empty: the population's champion."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if len(set(self.laws)) < len(self.laws):
             raise ValueError(f"laws: expected each at most once, got {list(self.laws)}")
         if self.prior != "none" and self.model == "full":

@@ -185,8 +185,15 @@ def check(manifest: Manifest, where: str) -> None:
         expect(f"parameters: {tensor.name}: offset", tensor.offset, offset)
         offset += tensor.size
     names = [m.name for m in manifest.members]
+    if wrong := [name for name in names if not name or names.count(name) > 1]:
+        raise UserError(f"{where}: members: expected each a name of its own, got {wrong[0]!r}; export it again")
     if manifest.champion not in names:
         raise UserError(f"{where}: champion: expected one of the {len(names)} members, got {manifest.champion!r}")
+    if not 0 <= (incumbent := manifest.golden_imagination.incumbent) < len(names):
+        raise UserError(
+            f"{where}: golden_imagination.incumbent: expected a member's number below {len(names)}, got {incumbent}; "
+            "export it again"
+        )
 
 
 def _pairs(layout: tuple[SignalLayout, ...]) -> list[tuple[str, str]]:

@@ -67,7 +67,7 @@ class Population(NamedTuple):
         if self.laws is None:
             raise UserError(
                 f"population {self.name}: brings no {LAWS}, so that no laws can be members; export it again, or "
-                "--set laws=[]"
+                "--set laws=[] --set first="
             )
         return self.laws
 
@@ -251,11 +251,15 @@ def _check_interface(
 def _check_behaviour(population: Population, path: Path) -> None:
     policy = BehaviouralPolicy(population, str(path))
     golden = population.manifest.golden_actions
-    observations = np.array(golden.observations, dtype=np.float32)
-    expected = np.array(golden.actions)
-    shape = (len(population.members), len(observations), N_ACTION)
-    if expected.shape != shape:
-        raise UserError(f"{path.parent / MANIFEST}: golden_actions: expected {shape}, got {expected.shape}")
+    where = f"{path.parent / MANIFEST}: golden_actions"
+    observations = _golden(golden.observations, f"{where}.observations").astype(np.float32)
+    expected = _golden(golden.actions, f"{where}.actions")
+    for name, array, shape in (
+        ("observations", observations, (len(observations), N_OBSERVATION)),
+        ("actions", expected, (len(population.members), len(observations), N_ACTION)),
+    ):
+        if array.shape != shape:
+            raise UserError(f"{where}.{name}: expected {shape}, got {array.shape}; export the population again")
     for member, answers in zip(range(len(population.members)), expected, strict=True):
         np.copyto(policy.parameters, population.parameters[member])
         for s, answer in zip(observations, answers, strict=True):
@@ -265,6 +269,14 @@ def _check_behaviour(population: Population, path: Path) -> None:
                     f"{path}: member {population.members[member]!r} answers a golden sample {difference:.1e} rad off, "
                     f"tolerance {golden.tolerance:.0e}; export the population again"
                 )
+
+
+def _golden(values: list, where: str) -> np.ndarray:
+    """Return a golden array; raise UserError when its rows differ in length."""
+    try:
+        return np.array(values, float)
+    except ValueError:
+        raise UserError(f"{where}: expected rows of equal length; export the population again") from None
 
 
 def _question_shapes(population: Population) -> dict[str, tuple[int | None, ...]]:
@@ -281,11 +293,14 @@ def _question_shapes(population: Population) -> dict[str, tuple[int | None, ...]
     }
 
 
-def _golden_question(population: Population) -> dict[str, np.ndarray]:
+def _golden_question(population: Population, where: str) -> dict[str, np.ndarray]:
     """Return the golden question but for its actuators, in the model prior with exact kinematics."""
     golden = population.manifest.golden_imagination
     return {
-        **{name: np.array(getattr(golden, name), dtype=np.float32) for name in ("x", "dx", "commands", "reference")},
+        **{
+            name: _golden(getattr(golden, name), f"{where}.{name}").astype(np.float32)
+            for name in ("x", "dx", "commands", "reference")
+        },
         "delay": np.array(golden.delay),
         "model": embed_reduced(population.theta)[None].astype(np.float32),
         "exact_kinematics": np.array(True),
@@ -316,7 +331,8 @@ def _check_imagination(population: Population, path: Path) -> None:
     shapes = {**_question_shapes(population), "incumbent": (population.manifest.n_parameters,)}
     _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
     golden = population.manifest.golden_imagination
-    feeds = {**_golden_question(population), "incumbent": population.parameters[golden.incumbent]}
+    question = _golden_question(population, f"{path.parent / MANIFEST}: golden_imagination")
+    feeds = {**question, "incumbent": population.parameters[golden.incumbent]}
     _check_play(session, feeds, golden, golden.actuators, path)
 
 
@@ -328,9 +344,12 @@ def _check_laws(population: Population, graph: bytes, path: Path) -> None:
     maps = (None, N_ACTION + N_MEMORY, N_MEMORY + N_SEEN)
     shapes = {**_question_shapes(population), "maps": maps, "memory": (None, N_MEMORY)}
     _check_interface(session, shapes, IMAGINATION_OUTPUTS, path)
-    laws = {name: np.array(getattr(golden, name), dtype=np.float32) for name in ("maps", "memory")}
+    where = f"{path.parent / MANIFEST}: golden_"
+    laws = {
+        name: _golden(getattr(golden, name), f"{where}laws.{name}").astype(np.float32) for name in ("maps", "memory")
+    }
     actuators = population.manifest.golden_imagination.actuators
-    _check_play(session, {**_golden_question(population), **laws}, golden, actuators, path)
+    _check_play(session, {**_golden_question(population, f"{where}imagination"), **laws}, golden, actuators, path)
 
 
 class BehaviouralPolicy:

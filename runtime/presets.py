@@ -97,9 +97,10 @@ def resolve(
             data = tomllib.loads(read_bytes(file, "configuration").decode())
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise UserError(f"{file}: not valid TOML: {error}") from None
-    name = preset or data.get("preset") or "understudy"
+    name = preset or data.get("preset", "understudy")
     if not isinstance(name, str) or name not in PRESETS:
-        raise UserError(f"preset {name!r}: unknown; choose one of {', '.join(PRESETS)}")
+        where = f"{file}: " if preset is None else ""
+        raise UserError(f"{where}preset {name!r}: unknown; choose one of {', '.join(PRESETS)}")
     data["preset"] = name
     tables = {"adaptation": msgspec.to_builtins(PRESETS[name]), "operation": {}}
     for table, values in tables.items():

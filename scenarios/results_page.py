@@ -22,14 +22,14 @@ def write_page(folder: Path, out: Path) -> int:
     if not files:
         raise UserError(f"{folder}: no results (*.json); measure some first, as with 'make chapter8'")
     prepare_file(out)
-    out.write_text(page({path.stem: read(path) for path in files}))
+    out.write_text(page({path.stem: read(path) for path in files}), encoding="utf-8")
     return len(files)
 
 
-def page(results: dict[str, Result]) -> str:
-    """Return the page; equal results give equal text."""
+def page(results: dict[str, Result], head: str = HEAD) -> str:
+    """Return the page below ``head``; equal results give equal text."""
     contents = "".join(f"- [{result.title}](#{name})\n" for name, result in results.items())
-    return "\n".join([HEAD, contents, *(_section(name, result) for name, result in results.items())])
+    return "\n".join([head, contents, *(_section(name, result) for name, result in results.items())])
 
 
 def _section(name: str, result: Result) -> str:

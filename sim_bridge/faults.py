@@ -47,7 +47,6 @@ class Mixing(Fault, frozen=True, kw_only=True, tag="mixing"):
 
     def __post_init__(self) -> None:
         """Check the matrix."""
-        super().__post_init__()
         if not np.isfinite(self.matrix).all():
             raise ValueError(f"matrix: expected nine finite numbers, got {self.matrix}")
 
@@ -95,7 +94,6 @@ class Saturation(Fault, frozen=True, kw_only=True, tag="saturation"):
 
     def __post_init__(self) -> None:
         """Check the range."""
-        super().__post_init__()
         if self.min_deg > self.max_deg:
             raise ValueError(f"min_deg: expected at most max_deg = {self.max_deg:g}, got {self.min_deg:g}; swap them")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -41,7 +40,6 @@ class SensorSettings(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         """Check each signal against the largest error of its kind."""
-        super().__post_init__()
         for field in ("noise", "bias"):
             for name, value in getattr(self, field).items():
                 most, unit = LARGEST[name]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -15,34 +17,91 @@ T = TypeVar("T")
 
 LARGEST = 1e30
 """No number of a configuration is near it, and what is made of larger ones overflows."""
+LARGEST_INTEGER = 2**31 - 1
+"""What 32 bits hold."""
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of every configuration: immutable, keyword-only, unknown keys refused, and its numbers are finite."""
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that TOML can spell and no setting can be."""
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, float) and not abs(number) <= LARGEST:
-                    raise ValueError(f"{name}: expected a finite number, {LARGEST:g} at most, got {number}")
+    """Base of every configuration: immutable, keyword-only, unknown keys refused."""
 
 
-def _keys_at(kind: Any, data: Any, message: str) -> str:
-    """Return the known keys of the struct that ``message`` complains about, as a hint."""
-    if "unknown field" not in message:
-        return ""
-    path = message.rsplit("at `$", 1)[1] if "at `$" in message else ""
-    for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", path):
-        struct = _struct(kind, data)
+class _Place(NamedTuple):
+    """What a message complains about."""
+
+    kind: Any
+    """What is expected there."""
+    value: Any
+    """What is there."""
+    around: Any
+    """What is expected of the table that it lies in."""
+
+
+def _place(kind: Any, data: Any, message: str) -> _Place | None:
+    """Return where ``message`` points to; None where it does not say so."""
+    path = re.search(r"`\$([^`]*)`$", message)
+    around = kind
+    for key, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", path[1] if path else ""):
         if key:
-            if struct is None or not isinstance(data, dict) or key not in data:
-                return ""  # the path leads through a mapping, whose keys the message does not give
-            kind = next(f.type for f in msgspec.structs.fields(struct) if f.encode_name == key)
-        data = data[key or int(index)]
-    struct = _struct(kind, data)
-    return "; known keys: " + ", ".join(f.encode_name for f in msgspec.structs.fields(struct)) if struct else ""
+            struct = _struct(kind, data)
+            if not isinstance(data, dict) or key not in data:
+                return None
+            around, data = kind, data[key]
+            fields = msgspec.structs.fields(struct) if struct else ()
+            kind = next((f.type for f in fields if f.encode_name == key), None)  # None: the tag of a struct
+        elif index == "...":  # a mapping, whose key the message does not give
+            inner = _value_kind(kind)
+            found = [value for value in data.values() if _refused(value, inner)] if isinstance(data, dict) else []
+            if not found:
+                return None
+            around, kind, data = kind, inner, found[0]
+        else:
+            around, data = kind, data[int(index)]
+    return _Place(kind, data, around)
+
+
+def _value_kind(kind: Any) -> Any:
+    """Return what the values of a mapping are to be."""
+    return next((get_args(k)[1] for k in (kind, *get_args(kind)) if get_origin(k) is dict), Any)
+
+
+def _refused(value: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return True
+    return False
+
+
+def _choices(kind: Any) -> list[Any]:
+    """Return the values that ``kind`` lets through, looking into unions and containers: of literals, or tags."""
+    if get_origin(kind) is Literal:
+        return list(get_args(kind))
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return [tag] if (tag := kind.__struct_config__.tag) is not None else []
+    return [choice for inner in get_args(kind) for choice in _choices(inner)]
+
+
+def _explained(kind: Any, data: Any, message: str) -> str:
+    """Return the message with what it leaves out: known keys, the choices, or what was got."""
+    place = _place(kind, data, message)
+    if place is None:
+        return message
+    said, dash, where = message.partition(" - at ")
+    if "unknown field" in said:
+        struct = _struct(place.kind, place.value)
+        keys = ", ".join(f.encode_name for f in msgspec.structs.fields(struct)) if struct else ""
+        return f"{message}; known keys: {keys}" if keys else message
+    if said.startswith(("Invalid enum value", "Invalid value")):
+        choices = _choices(place.kind if said.startswith("Invalid enum") else place.around)
+        return f"{message}; choose from {', '.join(map(str, dict.fromkeys(choices)))}" if choices else message
+    if said.startswith(("Expected", "Number out of range")) and ", got " not in said:
+        return f"{said}, got {_short(place.value)}{dash}{where}"
+    return message
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."
 
 
 def _struct(kind: Any, data: Any) -> type[msgspec.Struct] | None:
@@ -56,12 +115,54 @@ def _struct(kind: Any, data: Any) -> type[msgspec.Struct] | None:
 
 
 def convert(data: Any, kind: type[T], where: str) -> T:
-    """Return ``data`` as the struct ``kind``; raise UserError naming ``where`` and the key that is wrong."""
+    """Return ``data`` as the struct ``kind``; raise UserError naming ``where`` and the key that is wrong.
+
+    Every number must be finite, and fit what calculates with it; integers have 32 bits.
+    """
     try:
-        return msgspec.convert(data, kind)
+        found = msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        message = str(error)
-        raise UserError(f"{where}: {message[0].lower()}{message[1:]}{_keys_at(kind, data, message)}") from None
+        message = _explained(kind, data, str(error))
+        raise UserError(f"{where}: {message[0].lower()}{message[1:]}") from None
+    except OverflowError:  # a check of the struct's own, of a number that is refused here
+        _check_numbers(data, where)
+        raise
+    _check_numbers(data, where)
+    _check_integers(found, where)
+    return found
+
+
+def _check_numbers(data: Any, where: str, path: str = "$") -> None:
+    """Raise UserError at the first number of ``data`` that is not finite or is too large."""
+    if isinstance(data, (float, int)) and not abs(data) <= LARGEST:
+        wanted = f"a number up to {LARGEST:g}" if math.isfinite(data) else "a finite number"
+        raise UserError(f"{where}: expected {wanted}, got {_short(data)} - at `{path}`")
+    for name, value in _parts(data):
+        _check_numbers(value, where, path + name)
+
+
+def _check_integers(found: Any, where: str, path: str = "$") -> None:
+    """Raise UserError at the first integer of settings that 32 bits do not hold; what a struct only keeps is passed."""
+    if isinstance(found, int) and not -LARGEST_INTEGER - 1 <= found <= LARGEST_INTEGER:
+        raise UserError(
+            f"{where}: expected an integer from {-LARGEST_INTEGER - 1} to {LARGEST_INTEGER}, got {_short(found)} "
+            f"- at `{path}`"
+        )
+    if isinstance(found, Settings):
+        for field in msgspec.structs.fields(found):
+            if field.type != dict[str, Any]:
+                _check_integers(getattr(found, field.name), where, f"{path}.{field.encode_name}")
+    else:
+        for name, value in _parts(found):
+            _check_integers(value, where, path + name)
+
+
+def _parts(data: Any) -> Iterator[tuple[str, Any]]:
+    """Return what a table or a list holds, each with its place in a path."""
+    if isinstance(data, dict):
+        yield from ((f".{key}", value) for key, value in data.items())
+    elif isinstance(data, (list, tuple)):
+        yield from ((f"[{i}]", value) for i, value in enumerate(data))
 
 
 def read_bytes(path: Path, what: str) -> bytes:

@@ -17,9 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from export.cast.breed import Breeder
 from export.cast.choose import tune, write
 from export.cast.config import config_path, load
+from understudy import stopping
 
 MORE = 3
-"""Exit code when there is more to do."""
+"""Exit code when the minutes are over and there is more to do."""
 
 
 class _Interrupt:
@@ -27,17 +28,17 @@ class _Interrupt:
 
     def __init__(self, minutes: float | None) -> None:
         self._end = time.monotonic() + 60.0 * minutes if minutes is not None else None
-        self._asked = False
+        self.asked = False
         signal.signal(signal.SIGINT, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self._asked:
+        if self.asked:
             raise KeyboardInterrupt
-        self._asked = True
+        self.asked = True
         click.echo("breed: stopping after this round; once more to stop at once", err=True)
 
     def __call__(self) -> bool:
-        return self._asked or (self._end is not None and time.monotonic() > self._end)
+        return self.asked or (self._end is not None and time.monotonic() > self._end)
 
 
 @click.group()
@@ -49,6 +50,7 @@ def main() -> None:
 @click.option("--config", default="citation", show_default=True, help="A shipped configuration's name, or a .toml.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The run's folder; resumed when it exists.")
 @click.option("--minutes", type=click.FloatRange(0.0), help="Begin nothing after so many minutes; run again to go on.")
+@stopping("the same command goes on")
 def breed(config: str, out: Path, minutes: float | None) -> None:
     """Breed a cast into the folder OUT, a trained run that 'understudy export' takes.
 
@@ -68,6 +70,8 @@ def breed(config: str, out: Path, minutes: float | None) -> None:
             done = iter(range(1, len(breeder.cases) + 1))
             ended = tune(breeder, _reporter(progress, comparing, lambda: next(done)), stop)
     if not ended:
+        if stop.asked:
+            raise KeyboardInterrupt
         click.echo("stopped; the same command goes on")
         sys.exit(MORE)
     chosen = write(breeder)

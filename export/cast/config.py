@@ -18,8 +18,17 @@ Count = Annotated[int, Meta(ge=1)]
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Range = tuple[float, float]
+"""Least and largest."""
 
 CONFIGS = Path(__file__).parent
+
+
+def _check_ranges(settings: Settings, least: dict[str, float]) -> None:
+    """Raise ValueError unless every range named in ``least`` is in order and does not begin below what it says."""
+    for name, bound in least.items():
+        low, high = getattr(settings, name)
+        if not bound <= low <= high:
+            raise ValueError(f"{name}: expected two numbers in order, from {bound:g} on, got [{low:g}, {high:g}]")
 
 
 class SearchSettings(Settings, frozen=True):
@@ -46,9 +55,9 @@ class SearchSettings(Settings, frozen=True):
 class TrialSettings(Settings, frozen=True):
     """The flights that breeding uses, and what they cost."""
 
-    duration: Positive = 14.0
+    duration: Annotated[float, Meta(ge=0.1, le=600.0)] = 14.0
     """Length [s]."""
-    period: Positive = 24.0
+    period: Annotated[float, Meta(ge=0.1, le=3600.0)] = 24.0
     """Length of the evaluation reference whose beginning is flown [s]: its steps come every fifth of it."""
     onset: Range = (2.0, 6.0)
     """Earliest and latest onset of a hard case's faults [s]; the main member flies until they are answered."""
@@ -60,6 +69,12 @@ class TrialSettings(Settings, frozen=True):
     """Sm that costs nothing [rad Hz] (eq. 16)."""
     smooth_weight: NonNegative = 0.01
     """Cost of each rad Hz below ``smooth`` [% nMAE]."""
+
+    def __post_init__(self) -> None:
+        """Check what single fields cannot."""
+        _check_ranges(self, {"onset": 0.0})
+        if self.onset[1] >= self.duration:
+            raise ValueError(f"onset: expected it before the end at {self.duration:g} s, got {self.onset[1]:g}")
 
 
 class RobustSettings(Settings, frozen=True):
@@ -78,12 +93,16 @@ class RobustSettings(Settings, frozen=True):
     noisy: bool = True
     """Every other trial has the noise of R3's sensors."""
 
+    def __post_init__(self) -> None:
+        """Check what single fields cannot."""
+        _check_ranges(self, {"altitude": 0.0, "speed": 1.0, "latency": 0.0, "effectiveness": 0.01})
+
 
 class CastSettings(Settings, frozen=True):
     """One breeding run."""
 
     name: str
-    seed: int = 0
+    seed: Annotated[int, Meta(ge=0)] = 0
     layers: tuple[Layer, ...] = (Layer(units=3, activation="tanh"),)
     """Shape of every member."""
     input_scale: tuple[float, ...] = (1.0,) * N_OBSERVATION
@@ -113,7 +132,6 @@ class CastSettings(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         """Check what single fields cannot."""
-        super().__post_init__()
         names = [case.name for case in (*EASY, *self.cases)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

@@ -20,6 +20,7 @@ from export.training.evaluate import Scores
 from export.training.run import run, start
 from export.training.train import Trainer
 from task.errors import UserError
+from understudy import INTERRUPTED, stopping
 
 
 class _Interrupt:
@@ -90,6 +91,9 @@ def _show_returns(console: Console, config: TrainingConfig, returns: np.ndarray,
     console.print(f"Agents in {folder}")
 
 
+GO_ON = "the same command goes on"
+
+
 @click.command()
 @click.argument("config")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the run.  [default: runs/NAME]")
@@ -107,6 +111,7 @@ def _show_returns(console: Console, config: TrainingConfig, returns: np.ndarray,
 @click.option(
     "--device", default="cpu", show_default=True, help="Where to learn: cpu or cuda; flights stay on the CPU."
 )
+@stopping(f"{GO_ON} from the last checkpoint")
 def train(
     config: str,
     out: Path | None,
@@ -142,12 +147,15 @@ def train(
     elif scores is not None:
         _show(console, trainer, scores, folder)
     else:
-        raise UserError(f"stopped at frame {trainer.frames:,} of {settings.frames:,}; the same command goes on")
+        click.echo(f"understudy: stopped at frame {trainer.frames:,} of {settings.frames:,}; {GO_ON}", err=True)
+        raise SystemExit(INTERRUPTED)
 
 
 def _device(name: str) -> torch.device:
     try:
         device = torch.device(name)
+        if device.type not in ("cpu", "cuda"):
+            raise RuntimeError(name)
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError):
         raise UserError(f"--device {name}: no such device here; expected cpu, or cuda on a machine with one") from None

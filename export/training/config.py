@@ -19,6 +19,7 @@ Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Count = Annotated[int, Meta(ge=1)]
+Seed = Annotated[int, Meta(ge=0)]
 Activation = Literal["tanh", "relu", "leaky_relu", "linear"]
 
 
@@ -61,7 +62,7 @@ class TD3Settings(Settings, frozen=True):
     """Critic updates for one of the actor and the targets."""
     gradient_clip: Positive = 10.0
     """Largest gradient norm, of the actor and of each twin critic's pair."""
-    buffer: Count = 800_000
+    buffer: Annotated[int, Meta(ge=1, le=100_000_000)] = 800_000
     """Transitions in the shared memory D."""
     exploring_flights: Annotated[int, Meta(ge=0)] = 0
     """Further flights of the TD3 actor in each generation, with noise, on tasks of their own: they enter the shared
@@ -107,7 +108,7 @@ class GeneticSettings(Settings, frozen=True):
     mutation_batch: Count = 86
     """States over which the sensitivity is summed (eq. 8)."""
     sensitivity_floor: Positive = 0.01
-    memory: Count = 8_000
+    memory: Annotated[int, Meta(ge=1, le=10_000_000)] = 8_000
     """kappa: states in each actor's genetic memory, and in its critical buffer."""
     pairing: Literal["distance", "fitness"] = "distance"
     """How crossover pairs are ranked: behavioural distance (eq. 7) or summed fitness."""
@@ -126,7 +127,7 @@ class GeneticSettings(Settings, frozen=True):
 class TaskSettings(Settings, frozen=True):
     """The flights that are trained on (thesis section III.D)."""
 
-    duration: Positive = 20.0
+    duration: Annotated[float, Meta(ge=0.1, le=3600.0)] = 20.0
     """T_max [s]."""
     family: FamilyName | Literal["published"] = "training"
     """References, common to all actors of a generation: ``training`` as in the text (theta +-25, phi +-45 deg),
@@ -163,7 +164,7 @@ class TrainingConfig(Settings, frozen=True):
     name: str
     frames: Count
     """Stop after the generation in which the stored frames reach this number."""
-    seed: int = 0
+    seed: Seed = 0
     actor: ActorSettings = ActorSettings()
     td3: TD3Settings = TD3Settings()
     genetic: GeneticSettings = GeneticSettings()
@@ -180,7 +181,6 @@ class TrainingConfig(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         """Check what single fields cannot."""
-        super().__post_init__()
         if self.genetic.stored_evaluations > self.genetic.evaluations:
             raise ValueError(
                 f"genetic.stored_evaluations: expected at most genetic.evaluations = {self.genetic.evaluations}, "

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from runtime.identification import IncrementalModel
 from runtime.laws.catalogue import LawName, load_solo
 from runtime.laws.solo import Solo
 from runtime.link import LOST, OVER, Sample
@@ -88,6 +89,19 @@ class Flyer:
 
     def __exit__(self, *exception: object) -> None:
         self._folder.cleanup()
+
+    def check(self, row: Row) -> None:
+        """Raise UserError unless the population has what a row asks of it."""
+        if row.law is not None:
+            self._law(row.law)
+            return
+        who, adaptation = self._population, row.configuration(True).adaptation
+        members_of(who, adaptation)
+        if adaptation.laws:
+            who.laws_graph()
+        IncrementalModel(
+            adaptation, who.command_lag, who.theta, who.p0, DT, who.rates, who.max_delay, who.learnt_at
+        )  # fmt: skip
 
     def fly(self, cell: Cell, row: Row) -> Record:
         """Fly a row: a law by itself, all else through the runtime's own loop."""

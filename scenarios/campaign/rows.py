@@ -74,10 +74,27 @@ def known_rows() -> dict[str, Row]:
     return {row.name: row for row in rows}
 
 
+def row_names() -> list[str]:
+    """Return what a list of rows may name."""
+    return [*DERIVED, MEMBERS, *known_rows()]
+
+
+def _split(text: str) -> list[str]:
+    """Return what lies between commas; those of a list or a table part nothing."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
 def parse_row(text: str) -> Row:
     """Return the row of ``NAME=PRESET[,key=value...]``. Raises UserError."""
     name, equals, rest = text.partition("=")
-    preset, *changes = rest.split(",")
+    preset, *changes = _split(rest)
     if not equals or not name or name in (MEMBERS, *DERIVED):
         raise UserError(f"--row {text}: expected NAME=PRESET[,key=value...] with a name of its own")
     row = Row(name=name, preset=preset, changes=tuple(changes))
@@ -106,9 +123,10 @@ def choose_rows(names: str | None, extra: tuple[str, ...]) -> list[Row | Literal
         elif name in known:
             chosen.append(known[name])
         else:
-            choices = ", ".join(dict.fromkeys([*DERIVED, *known]))
-            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {choices}")
+            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {', '.join(row_names())}")
     chosen += [parse_row(text) for text in extra]
+    if not chosen:
+        raise UserError(f"--rows {names}: expected at least one row; choose from {', '.join(row_names())}")
     labels = [row if isinstance(row, str) else row.name for row in chosen]
     if twice := {label for label in labels if labels.count(label) > 1}:
         raise UserError(f"--row {min(twice)}: there is a row of this name already; give it another")

@@ -22,6 +22,10 @@ SCHEMA = pa.schema([(f.encode_name, _KINDS[f.type]) for f in msgspec.structs.fie
 _NEEDED = {f.encode_name for f in msgspec.structs.fields(Record) if f.required}
 
 
+INFORMATION = ("population", "champion", "half", "command")
+"""What is known of all flights together."""
+
+
 class Entry(msgspec.Struct, kw_only=True):
     """One line of the journal: a task that was flown."""
 
@@ -100,6 +104,8 @@ def read_parquet(path: Path) -> Stored:
 
     Raises UserError.
     """
+    if not path.exists():
+        raise UserError(f"{path}: no such file; give the Parquet file that a campaign wrote")
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowInvalid) as error:
@@ -108,3 +114,13 @@ def read_parquet(path: Path) -> Stored:
         raise UserError(f"{path}: not flights of this campaign: its columns are {', '.join(table.schema.names[:6])}...")
     metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     return Stored([Record(**row) for row in table.to_pylist()], metadata)
+
+
+def read_campaign(path: Path) -> Stored:
+    """Read the flights of a campaign, of which there are some and it is known what they are of. Raises UserError."""
+    stored = read_parquet(path)
+    if missing := [name for name in INFORMATION if name not in stored.information]:
+        raise UserError(f"{path}: not a file of this campaign: it does not say its {', '.join(missing)}; fly it again")
+    if not stored.records:
+        raise UserError(f"{path}: holds no flights; give the Parquet file of a campaign that was flown")
+    return stored

@@ -6,9 +6,10 @@ Times count from the moment of the fault; any number may be a range, drawn anew 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from sim_bridge.faults import AnyFault
 from task.config import Settings, convert, load_toml
@@ -39,7 +40,7 @@ class FaultCase(Settings, frozen=True):
     """Cases that are summed up together: reversal, latency, published, ..."""
     faults: tuple[dict[str, Any], ...] = ()
     """As in a scenario (``sim_bridge.faults``), but ``start`` and ``end`` [s] count from the moment of the fault, and
-    any number may be a pair [low, high]."""
+    any number that is a value of its own, not one of a list, may be a pair [low, high]."""
     trim: Trim | None = None
     """The trimmed flight, when the case is about it."""
     sensors: SensorLevel | None = None
@@ -53,7 +54,7 @@ class Suite(Settings, frozen=True):
 
     title: str
     """Name of the suite."""
-    fault: tuple[FaultCase, ...]
+    fault: Annotated[tuple[FaultCase, ...], Meta(min_length=1)]
     """Its cases."""
 
 
@@ -68,9 +69,11 @@ def draw_faults(case: FaultCase, half: Half, rng: np.random.Generator, moment: f
     drawn = []
     for part in case.faults:
         fault = {key: _drawn(value, half, rng) for key, value in part.items()}
-        fault["start"] = moment + fault.get("start", 0.0)
-        if "end" in fault:
-            fault["end"] = moment + fault["end"]
+        fault |= {
+            key: moment + time
+            for key, time in ({"start": 0.0} | fault).items()
+            if key in ("start", "end") and type(time) in (int, float)
+        }
         drawn.append(fault)
     return convert(drawn, tuple[AnyFault, ...], f"fault {case.name!r}")
 
@@ -91,5 +94,8 @@ def load_suite(name: str) -> Suite:
     if twice := {n for n in names if names.count(n) > 1}:
         raise UserError(f"{path}: fault {min(twice)!r} is there twice; give each its own name")
     for case in suite.fault:
-        draw_faults(case, "tuning", np.random.default_rng(0), 10.0)
+        try:
+            draw_faults(case, "tuning", np.random.default_rng(0), 10.0)
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
     return suite

@@ -1,12 +1,16 @@
 """A small cast from nothing: bred, interrupted, resumed, chosen, written."""
 
+import signal
+
 import msgspec
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from export.cast.breed import MAIN, Breeder
 from export.cast.cases import Case
 from export.cast.choose import tune, write
+from export.cast.cli import main
 from export.cast.config import CastSettings, SearchSettings, TrialSettings, load
 from export.mirrors import AXES
 from export.network import Layer
@@ -120,3 +124,29 @@ def test_configurations_are_checked():
         CastSettings(name="x", layers=(Layer(units=4), Layer(units=3)), main=SearchSettings(symmetric=True))
     with pytest.raises(ValueError, match="expected cases of the thesis, got F9"):
         CastSettings(name="x", bred_for=("F9",))
+    for wrong, said in (
+        ({"seed": -1}, "expected `int` >= 0, got -1"),
+        ({"trial": {"onset": [5.0, 1.5]}}, r"onset: expected two numbers in order, from 0 on, got \[5, 1\.5\]"),
+        ({"trial": {"onset": [2.0, 14.0]}}, "onset: expected it before the end at 14 s, got 14"),
+        ({"randomised": {"effectiveness": [0.0, 1.0]}}, "effectiveness: expected two numbers in order, from 0.01 on"),
+        ({"main": {"sigma": float("inf")}}, "expected a finite number, got inf"),
+    ):
+        with pytest.raises(UserError, match=said):
+            convert({"name": "x"} | wrong, CastSettings, "mine.toml")
+
+
+@pytest.mark.parametrize(("minutes", "code"), [([], 130), (["--minutes", "0"], 3)])
+def test_who_stops_a_run_is_told_how_to_go_on(minutes, code, tmp_path, monkeypatch):
+    def stopped(self, report, stop):
+        if not minutes:
+            signal.raise_signal(signal.SIGINT)
+        return not stop()
+
+    monkeypatch.setattr(Breeder, "breed", stopped)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        done = CliRunner().invoke(main, ["breed", "--out", str(tmp_path / "run"), *minutes])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done.exit_code == code
+    assert "the same command goes on" in done.output

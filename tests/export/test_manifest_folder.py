@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 
+import msgspec
 import numpy as np
 import onnx
 import pytest
 
 from export import folder as folder_module
 from export.folder import write_population
+from export.golden import GOLDEN_OBSERVATIONS, golden_actions
 from export.manifest import observation_layout
-from export.network import Layer, Network
+from export.network import Layer, Network, n_parameters
+from export.population import Population
 from export.prior import Prior
 from task.errors import UserError
 from task.state import N_OBSERVATION
@@ -102,3 +105,25 @@ def test_the_prior_is_stored_at_full_precision(population_folder, short_prior: P
     with np.load(population_folder / "model_prior.npz") as stored:
         np.testing.assert_array_equal(stored["theta"], short_prior.theta)
         np.testing.assert_array_equal(stored["p0"], short_prior.p0)
+
+
+def test_members_of_high_gain_are_asked_smaller_observations_in_which_every_parameter_is_seen(make_actors):
+    gentle = make_actors(SMALL)
+    usual = golden_actions(gentle)
+    assert len(usual.observations) == GOLDEN_OBSERVATIONS
+    linear = Network(layers=(Layer(units=3),))
+    gains = np.ones((2, n_parameters(linear)), dtype=np.float32)
+    gains[:, -3:] = 0.0  # biases
+    gains[1] *= 100.0
+    description = msgspec.structs.replace(
+        gentle.description, network=linear, members=gentle.description.members[:2],
+        champion=gentle.description.members[0].name,
+    )  # fmt: skip
+    golden = golden_actions(Population(description, gains))
+    assert golden.observations[:GOLDEN_OBSERVATIONS] == usual.observations
+    assert len(golden.observations) > GOLDEN_OBSERVATIONS
+    for k in range(gains.shape[1]):
+        other = gains.copy()
+        other[1, k] += 1.0
+        changed = np.abs(np.array(golden_actions(Population(description, other)).actions)[1] - golden.actions[1])
+        assert changed.max() > golden.tolerance

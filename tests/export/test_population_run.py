@@ -134,3 +134,8 @@ def test_the_command_refuses_unknown_prior_settings(run, tmp_path):
             export, [str(run), str(tmp_path / "out"), "--prior", str(settings)], catch_exceptions=False
         )
     assert not (tmp_path / "out").exists()
+
+
+def test_the_command_says_before_its_flights_that_it_cannot_write(run):
+    with pytest.raises(UserError, match="/proc/x: /proc: cannot write there"):
+        click.testing.CliRunner().invoke(export, [str(run), "/proc/x"], catch_exceptions=False)

@@ -15,6 +15,8 @@ from export.prior import (
 )
 from sim_bridge.conditions import NOMINAL, R1
 from sim_bridge.plant import Plant
+from task.config import convert
+from task.errors import UserError
 from task.model import DYNAMIC, embed_reduced, predict_increment
 from task.state import ACTION, STATE
 
@@ -104,3 +106,24 @@ def test_excitation_has_the_stated_size_and_the_surfaces_are_orthogonal():
     np.testing.assert_allclose(np.sqrt((signal**2).mean(axis=0)), PriorSettings().amplitude, rtol=1e-9)
     correlation = np.corrcoef(signal.T) - np.eye(3)
     assert np.abs(correlation).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"flights": 0}, "got 0 - at `$.flights`"),
+        ({"flights": -1}, "got -1 - at `$.flights`"),
+        ({"conditions": []}, "got [] - at `$.conditions`"),
+        ({"duration": 0.0}, "got 0.0 - at `$.duration`"),
+        ({"duration": float("nan")}, "got nan - at `$.duration`"),
+        ({"amplitude": -1.0}, "got -1.0 - at `$.amplitude`"),
+        ({"samples": 0.0}, "got 0.0 - at `$.samples`"),
+        ({"seed": -1}, "got -1 - at `$.seed`"),
+        ({"band": [4.0, 0.1]}, "band: expected frequencies in order"),
+        ({"band": [1.0, 1.01]}, "band: expected frequencies in order"),
+    ],
+)
+def test_settings_that_no_flight_can_have_are_refused(wrong, said):
+    with pytest.raises(UserError) as caught:
+        convert(wrong, PriorSettings, "prior.toml")
+    assert said in str(caught.value)

@@ -139,7 +139,8 @@ def test_interrupted_run_keeps_its_checkpoint_and_says_how_to_go_on(tiny: Path, 
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
+    assert process.returncode == 130
+    assert "understudy: stopped at frame" in errors
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     _, meta = checkpoint.load(folder / CHECKPOINT)
@@ -181,6 +182,12 @@ def test_a_damaged_checkpoint_is_one_line(tiny: Path, tmp_path: Path) -> None:
         ("gamma", r"\$\.td3\.gamma|gamma"),
         ("stored", r"stored_evaluations: expected at most"),
         ("scale", r"input_scale: expected 7"),
+        ("seed", r"expected `int` >= 0, got -1 - at `\$\.seed`"),
+        ("short", r"expected `float` >= 0\.1, got 0\.001 - at `\$\.task\.duration`"),
+        ("endless", r"expected `float` <= 3600\.0, got inf - at `\$\.task\.duration`"),
+        ("buffer", r"got 100000000000.* - at `\$\.td3\.buffer`"),
+        ("rate", r"expected a finite number, got inf - at `\$\.td3\.learning_rate`"),
+        ("offset", r"expected a finite number, got nan - at `\$\.actor\.action_offset\[1\]`"),
     ],
 )
 def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Path) -> None:
@@ -188,6 +195,12 @@ def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Pa
         "batch = 16": TINY.replace("[td3]", "[td3]\nlearning_rat = 1e-4"),
         "gamma": TINY.replace("[td3]", "[td3]\ngamma = 1.5"),
         "stored": TINY.replace("[genetic]", "[genetic]\nstored_evaluations = 7"),
+        "seed": TINY.replace("seed = 3", "seed = -1"),
+        "short": TINY.replace("duration = 1.0", "duration = 0.001"),
+        "endless": TINY.replace("duration = 1.0", "duration = inf"),
+        "buffer": TINY.replace("buffer = 2000", "buffer = 100_000_000_000"),
+        "rate": TINY.replace("[td3]", "[td3]\nlearning_rate = inf"),
+        "offset": TINY.replace("[actor]", "[actor]\naction_offset = [0.0, nan, 0.0]"),
         "scale": TINY.replace("input_scale = [8.0, ", "input_scale = ["),
     }
     path = tmp_path / "bad.toml"
@@ -199,8 +212,9 @@ def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Pa
 def test_unknown_configuration_and_device_are_one_line(tiny: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"no training configuration 'serl11'.*serl10"):
         load("serl11")
-    with pytest.raises(UserError, match=r"--device nonsense"):
-        invoke(tiny, "--out", tmp_path / "run", "--device", "nonsense")
+    for device in ("nonsense", "meta"):
+        with pytest.raises(UserError, match=rf"--device {device}: no such device here; expected cpu"):
+            invoke(tiny, "--out", tmp_path / "run", "--device", device)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in CONFIGS.glob("*.toml")))

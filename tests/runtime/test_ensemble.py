@@ -141,8 +141,9 @@ def test_names_that_do_not_fit_are_refused_in_one_line(citation):
         members_of(citation, Adaptation(first="nobody"))
     with pytest.raises(UserError, match="laws"):
         resolve(overrides=("laws=['pid', 'pid']",))
-    with pytest.raises(UserError, match=r"brings no laws\.onnx"):
+    with pytest.raises(UserError, match=r"brings no laws\.onnx.*--set laws=\[\] --set first=$"):
         citation._replace(laws=None).laws_graph()
+    assert resolve("ensemble", None, ("laws=[]", "first=")).adaptation.first == ""
 
 
 def fly(link, citation, log, *overrides):

@@ -112,7 +112,21 @@ SPOILS = {
         lambda f: edit(f, "golden_actions.actions.2.1.0", 0.5),
         "member 'actor-2' answers a golden sample",
     ),
-    "golden shape": (lambda f: edit(f, "golden_actions.actions", [[[0, 0, 0]]]), "golden_actions: expected"),
+    "golden shape": (lambda f: edit(f, "golden_actions.actions", [[[0, 0, 0]]]), "golden_actions.actions: expected"),
+    "golden observations": (
+        lambda f: edit(f, "golden_actions.observations.1", [0.0]),
+        "golden_actions.observations: expected rows of equal length",
+    ),
+    "golden commands": (
+        lambda f: edit(f, "golden_imagination.commands.1", [0.0]),
+        "golden_imagination.commands: expected rows of equal length",
+    ),
+    "golden incumbent": (
+        lambda f: edit(f, "golden_imagination.incumbent", 999),
+        "golden_imagination.incumbent: expected a member's number below 4, got 999",
+    ),
+    "two of one name": (lambda f: edit(f, "members.1.name", "actor-0"), "members: expected each a name .* 'actor-0'"),
+    "no name": (lambda f: edit(f, "members.1.name", ""), "members: expected each a name of its own, got ''"),
     "golden reference": (lambda f: edit(f, "golden_imagination.reference", [[0.0]]), "cannot play the golden"),
     "observation order": (lambda f: edit(f, "observation.0.symbol", "phi_e"), "observation: expected"),
     "observation unit": (lambda f: edit(f, "observation.3.unit", "deg/s"), "observation: expected .*deg/s"),

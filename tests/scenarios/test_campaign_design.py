@@ -7,10 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from scenarios.campaign.__main__ import QUICK, chosen_cells
+from scenarios.campaign.command import QUICK, chosen_cells
 from scenarios.campaign.design import DURATION, EARLIEST, FACTORS, LATEST, cells, reference_rows
 from scenarios.campaign.rows import choose_rows
-from scenarios.campaign.suites import HALVES, SUITES, load_suite
+from scenarios.campaign.suites import FOLDER, HALVES, SUITES, load_suite
 from sim_bridge.conditions import R1
 from task.errors import UserError
 from task.state import REFERENCE
@@ -94,11 +94,23 @@ def test_a_wrong_suite_is_answered_with_file_and_fault(tmp_path):
         load_suite("harder")
     file = tmp_path / "s.toml"
     file.write_text('title = "s"\n[[fault]]\nname = "odd"\ngroup = "g"\nfaults = [{kind = "jam", surface = "flap"}]\n')
-    with pytest.raises(UserError, match=r"fault 'odd': invalid enum value 'flap'"):
+    with pytest.raises(UserError, match=r"s\.toml: fault 'odd': invalid enum value 'flap'.*choose from elevator"):
+        load_suite(str(file))
+    file.write_text('title = "s"\n[[fault]]\nname = "odd"\ngroup = "g"\nfaults = [{kind = "jam", start = "a"}]\n')
+    with pytest.raises(UserError, match=r"s\.toml: fault 'odd': expected `float`, got `str` - at `\$\[0\]\.start`"):
+        load_suite(str(file))
+    file.write_text('title = "s"\nfault = []\n')
+    with pytest.raises(UserError, match=r"s\.toml: expected `array` of length >= 1, got \[\] - at `\$\.fault`"):
         load_suite(str(file))
     file.write_text('title = "s"\n' + 2 * '[[fault]]\nname = "odd"\ngroup = "g"\n')
     with pytest.raises(UserError, match="fault 'odd' is there twice"):
         load_suite(str(file))
+
+
+def test_a_suite_counts_once_however_often_it_is_named():
+    assert chosen_cells(("hard", "hard"), (), "tuning", 1) == chosen_cells(("hard",), (), "tuning", 1)
+    with pytest.raises(UserError, match="another suite is titled 'hard' too"):
+        chosen_cells(("hard", str(FOLDER / "hard.toml")), (), "tuning", 1)
 
 
 def test_no_adaptation_is_flown_alone_when_no_member_is():

@@ -15,13 +15,14 @@ from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
 from runtime.laws.catalogue import LAWS
 from runtime.population import BehaviouralPolicy, load_population
-from scenarios.campaign.__main__ import main
+from scenarios.campaign import command
+from scenarios.campaign.command import main
 from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
 from scenarios.campaign.members import Members
-from scenarios.campaign.rows import Row, choose_rows
+from scenarios.campaign.rows import Row, choose_rows, parse_row
 from scenarios.campaign.scores import STALL, Events, score
-from scenarios.campaign.store import Journal, plain, read_parquet, write_parquet
+from scenarios.campaign.store import Journal, plain, read_campaign, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import Task, fly_all, plan
@@ -192,13 +193,15 @@ def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
 
 
 def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
-    command = ["--population", str(cast), "--half", "tuning", "--fault", "F2", "--references", "1", "--jobs", "1"]
+    usual = ["--population", str(cast), "--half", "tuning", "--fault", "F2", "--references", "1", "--jobs", "1"]
     out = ["--out", str(tmp_path / "out"), "--results", str(tmp_path / "results")]
-    done = CliRunner().invoke(main, [*command, *out, "--rows", "none,pid"], catch_exceptions=False)
+    done = CliRunner().invoke(main, [*usual, *out, "--rows", "none,pid"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     report = (tmp_path / "out" / "report.md").read_text()
+    assert report.startswith("# Campaign\n")
+    assert "robust" not in report  # nobody flew as a member
     assert "Suite easy: every row" in report
     assert "--fault F2 --half tuning" in report
     again = ["--read", str(tmp_path / "results" / "campaign.parquet"), "--out", str(tmp_path / "again")]
@@ -211,7 +214,9 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
     ("arguments", "said"),
     [
         ({"names": "pdi", "extra": ()}, "--rows pdi: unknown row 'pdi'; choose from none"),
+        ({"names": ",", "extra": ()}, "--rows ,: expected at least one row; choose from none, robust, oracle, members"),
         ({"names": "pid", "extra": ("fast",)}, "--row fast: expected NAME=PRESET"),
+        ({"names": "pid", "extra": ("fast=ensemble,horizon=inf",)}, "expected a finite number, got inf"),
         ({"names": "pid", "extra": ("fast=structured,settel=1",)}, "--set settel: unknown key"),
         ({"names": "pid", "extra": ("pid=structured",)}, "--row pid: there is a row of this name"),
     ],
@@ -219,3 +224,41 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
 def test_a_wrong_row_is_answered_in_one_line(arguments, said):
     with pytest.raises(UserError, match=said):
         choose_rows(**arguments)
+
+
+def test_a_row_may_hold_a_list():
+    row = parse_row("slow=structured,delays=[0.1,0.2],settle=0.05")
+    assert row.changes == ("delays=[0.1,0.2]", "settle=0.05")
+    assert row.configuration(True).adaptation.delays == (0.1, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--ours", "typo"], "--ours typo: unknown row 'typo'; choose from none"),
+        (["--oracle-laws", "typo"], "--oracle-laws typo: the oracle needs the flights of this row"),
+        (["--rows", "members,pid", "--robust", "typo"], "--robust typo: no such member; choose from good"),
+        (["--row", "odd=ensemble,first=typo"], "row odd: first: expected one of"),
+        (["--name", "a/b"], "--name a/b: expected the beginning of a file's name"),
+        (["--out", "/proc/x"], "--out: /proc/x: cannot write there"),
+        (["--results", "/proc/x"], "--results: /proc/x: cannot write there"),
+        (["--figures", "/proc/x"], "--figures: /proc/x: cannot write there"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_flown(cast, tmp_path, arguments, said, monkeypatch):
+    monkeypatch.setattr(command, "fly", lambda *_: pytest.fail("flown"))
+    usual = ["--population", str(cast), "--half", "tuning", "--fault", "F2", "--references", "1", "--rows", "pid"]
+    done = CliRunner().invoke(main, [*usual, "--out", str(tmp_path / "out"), *arguments])
+    assert isinstance(done.exception, UserError)
+    assert str(done.exception).startswith(said)
+
+
+def test_a_file_that_is_none_of_a_campaign_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"nope\.parquet: no such file"):
+        read_campaign(tmp_path / "nope.parquet")
+    information = {"population": "p", "champion": "c", "half": "tuning", "command": "x"}
+    bare = write_parquet([], tmp_path / "bare.parquet", {"population": "p"})
+    with pytest.raises(UserError, match="it does not say its champion, half, command"):
+        read_campaign(bare)
+    with pytest.raises(UserError, match="holds no flights"):
+        read_campaign(write_parquet([], tmp_path / "empty.parquet", information))

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from runtime.population import load_population
-from scenarios.campaign.__main__ import QUICK
+from scenarios.campaign.command import QUICK
 from scenarios.run import find_population
 from task.results import Result
 

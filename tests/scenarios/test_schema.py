@@ -154,7 +154,7 @@ def test_a_reference_file_is_exact_and_the_runtime_reads_the_same(tmp_path: Path
         ("t,theta,phi,beta\n0,0,0,nan\n", "row 1 is not finite"),
         ("", "bad.csv: expected shape"),
         ("0,0,0,0\n0,0,0,0\n", "time must rise"),
-        ("-2,0,0,0\n-1,0,0,0\n", "expected rows up to t = 0 s"),
+        ("-2,0,0,0\n-1,0,0,0\n", "expected the last row between t = 0 s"),
         ("0,0,0,0\n1,12,0,0\n", "are these degrees"),
     ],
 )

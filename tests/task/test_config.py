@@ -1,8 +1,10 @@
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 import pytest
 
-from task.config import Settings, load_json, load_toml
+from task.config import Settings, convert, load_json, load_toml
 from task.errors import UserError
 
 
@@ -67,3 +69,51 @@ def test_missing_file_is_one_line(tmp_path: Path) -> None:
     bad.write_text("{")
     with pytest.raises(UserError, match="not valid JSON"):
         load_json(bad, Outer)
+
+
+class Numbers(Settings):
+    size: float = 0.0
+    above: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+    count: Annotated[int, msgspec.Meta(ge=0)] = 0
+    by_name: dict[str, Annotated[float, msgspec.Meta(ge=0.0)]] = {}
+    many: tuple[tuple[float, float], ...] = ()
+    colour: Literal["red", "blue"] | None = None
+    colours: tuple[Literal["red", "blue"], ...] = ()
+    pets: tuple[Cat | Dog, ...] = ()
+    kept: dict[str, Any] = {}
+
+
+def answer(data: Any) -> str:
+    with pytest.raises(UserError) as caught:
+        convert(data, Numbers, "s.toml")
+    return str(caught.value)
+
+
+def test_a_wrong_choice_names_the_choices() -> None:
+    choices = "s.toml: invalid enum value 'green' - at `$.colour`; choose from red, blue"
+    assert answer({"colour": "green"}) == choices
+    assert answer({"colours": ["red", "green"]}).endswith("at `$.colours[1]`; choose from red, blue")
+    assert answer({"pets": [{"kind": "cow"}]}).endswith("'cow' - at `$.pets[0].kind`; choose from cat, dog")
+
+
+def test_a_number_out_of_range_says_what_was_got() -> None:
+    assert answer({"above": float("nan")}) == "s.toml: expected `float` > 0.0, got nan - at `$.above`"
+    assert answer({"count": -1}) == "s.toml: expected `int` >= 0, got -1 - at `$.count`"
+    assert (
+        answer({"by_name": {"p": 1.0, "q": -2.0}}) == "s.toml: expected `float` >= 0.0, got -2.0 - at `$.by_name[...]`"
+    )
+    assert answer({"count": 0.5}) == "s.toml: expected `int`, got `float` - at `$.count`"
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), float("-inf")])
+def test_no_number_of_any_settings_may_be_infinite(wrong: float) -> None:
+    assert answer({"size": wrong}) == f"s.toml: expected a finite number, got {wrong} - at `$.size`"
+    assert answer({"many": [[0.0, 1.0], [0.0, wrong]]}).endswith("at `$.many[1][1]`")
+    assert answer({"kept": {"a": [wrong]}}).endswith("at `$.kept.a[0]`")
+
+
+def test_numbers_are_no_larger_than_what_calculates_with_them_holds() -> None:
+    assert answer({"size": -1e39}) == "s.toml: expected a number up to 1e+30, got -1e+39 - at `$.size`"
+    assert "got 1000000000" in answer({"size": 10**400})
+    assert answer({"count": 2**31}).endswith("got 2147483648 - at `$.count`")
+    assert convert({"size": 10**12, "count": 2**31 - 1, "kept": {"n": 2**40}}, Numbers, "s").size == 1e12
