@@ -10,7 +10,6 @@ import numpy as np
 from runtime.reference import COLUMNS, load_reference
 from scenarios.schema import References, Scenario
 from sim_bridge.conditions import FlightCondition
-from task.errors import UserError
 from task.limits import DT
 from task.reference import base_reference, n_samples, random_reference
 from task.state import STATE
