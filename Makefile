@@ -14,7 +14,7 @@ CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev fly scenarios campaign test lint train export cast study sweep verification aircraft chapter8 peers \
-        decision results bench bench-train clean
+        decision robustness results bench bench-train clean
 
 help: ## Show this help
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -99,6 +99,9 @@ peers: setup-dev ## The classical laws on faults, noise and latency, into result
 
 decision: setup-dev ## What it is worth that the imagination carries the delay of the commands, into results/
 	$(BIN)/python -m bench.decision $(ARGS)
+
+robustness: setup-dev ## Gyros that become noisy, lost states, garbage: ours beside a PID and an INDI, into results/
+	$(BIN)/python -m bench.robustness $(ARGS)
 
 bench: setup-dev ## Cost of cycle, link and imagination beside their peers, as ratios; the models' errors
 	$(BIN)/python -m bench.cycle
