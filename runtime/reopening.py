@@ -140,13 +140,12 @@ class Reopening:
         """
         f, rows = self._filters, self._limited
         sure = limited is not None and ranges.of[limited].limited and not self.opening.again
-        works = self.past.settled.tolist()
+        works = self.past.long_ago[LAMBDA].tolist()
         for surface, each in enumerate(works):
             if sure and surface == limited:
                 continue
             row = rows.start + surface
             f.s[row, RATES:] = self.past.long_ago[RATES:]
-            f.s[row, LAMBDA] = self.past.settled
             f.variances[row, LAMBDA], f.variances[row, SLOPES] = self._settings.effectiveness_sd**2, 0.0
             if abs(each) >= Ranges.WORKS:
                 f.variances[row, B] *= self.STEADY**2
