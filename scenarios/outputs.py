@@ -21,8 +21,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = error.filename or path
-        raise UserError(f"{where}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
+        raise UserError(f"{path}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
 
 
 def prepare_folder(folder: Path) -> None:

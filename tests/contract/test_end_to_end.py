@@ -208,7 +208,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     (tmp_path / "short.toml").write_text(SCENARIO.format(seconds=1.0))
     (tmp_path / "typo.toml").write_text('title = "t"\n[flight]\nlenght = 3.0\n')
     (tmp_path / "fault.toml").write_text('title = "t"\n[[flight.faults]]\nkind = "meteor"\n')
-    (tmp_path / "high.toml").write_text('title = "t"\n[flight.condition]\naltitude = 30000.0\nspeed = 20.0\n')
+    (tmp_path / "high.toml").write_text('title = "t"\n[flight.condition]\naltitude = 19000.0\nspeed = 20.0\n')
     code, _, error = run(tmp_path, "fly", *(str(flying_cast) if a == "CAST" else a for a in arguments))
     assert code == 2
     assert error.startswith(line), error
