@@ -15,6 +15,7 @@ import numpy as np
 from runtime.clock import Clock
 from runtime.config import Operation
 from runtime.excitation import Excitation
+from runtime.findings import Findings
 from runtime.guard import NAMES, UNUSABLE, Guard, Health, describe
 from runtime.identification import IncrementalModel
 from runtime.laws.solo import NoPlays
@@ -23,6 +24,7 @@ from runtime.plays import Played, Plays
 from runtime.policy import Policy
 from runtime.recorder import Recorder
 from runtime.reference import Reference
+from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast
 from task.state import N_REFERENCE
 
@@ -84,6 +86,8 @@ class Loop:
         """The first state of the flight that took this one's place."""
         self._dt_us = round(operation.dt * 1e6)
         self._said_at: dict[int, int] = {}
+        self._findings = Findings(model.effectiveness, operation.dt) if model.effectiveness else None
+        self._alarms = 0
 
     def fly(self, first: Sample) -> Outcome:
         """Fly from the first state until the flight ends, and say how it ended."""
@@ -204,8 +208,7 @@ class Loop:
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
         if self.model.effectiveness is not None:
             self.recorder.effectiveness(time_usec, self.model.effectiveness, self.excitation.surface)
-            if self.model.alarmed:
-                self.say(sample, Severity.WARNING, "alarm: the aircraft answers otherwise than known")
+            self.tell(sample, self.model.effectiveness)
         if played is not None:
             self.recorder.play(time_usec, played.returns, played.age, played.tick_asked, played.decision)
             if played.error:
@@ -215,6 +218,21 @@ class Loop:
                 self.say(sample, Severity.INFO, played.describe(self.members))
         if health:
             self.report(sample, health)
+
+    def tell(self, sample: Sample, found: Effectiveness) -> None:
+        """Say an alarm, another hypothesis that is believed from now on, and what has been found and holds."""
+        findings, lines = self._findings, []
+        if findings is None:
+            return
+        with suppress(Exception):  # no words are worth a flight
+            if found.alarmed:
+                counted = found.alarms != self._alarms
+                lines.append("alarm: the aircraft answers otherwise than known" if counted else findings.suspected())
+            if news := findings.look():
+                lines.append(news)
+        self._alarms = found.alarms
+        for line in lines:
+            self.say(sample, Severity.WARNING, line)
 
     def report(self, sample: Sample, health: int) -> None:
         """Count the flags that are up, and say those that were not said lately."""

@@ -11,6 +11,8 @@ import numpy as np
 
 from runtime.advice import highest_alpha
 from runtime.config import Configuration
+from runtime.findings import describe
+from runtime.hypotheses import hypotheses
 from runtime.link import Severity
 from runtime.structured import Effectiveness
 from runtime.switching import Decision
@@ -122,6 +124,10 @@ class Recorder:
         self._log.info("sys_name", "Understudy")
         self._log.info("population", population)
         self._log.info("members", msgspec.json.encode(members).decode())  # a list: names may hold commas
+        if structured:  # what the field ``hypothesis`` counts
+            choices = hypotheses(configuration.adaptation, configuration.operation.dt)
+            names = [describe(choice, configuration.operation.dt) for choice in choices]
+            self._log.info("hypotheses", msgspec.json.encode(names).decode())
         for key, text in information.items():
             self._log.info(key, text)
         self._parameters(msgspec.to_builtins(configuration))

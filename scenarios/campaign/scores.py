@@ -95,7 +95,7 @@ class Record(msgspec.Struct, kw_only=True):
 
 
 class Events:
-    """Hears the runtime's lines: alarms and changes of the cast."""
+    """Hears the runtime's lines: alarms, other hypotheses that are suspected with them, and changes of the cast."""
 
     def __init__(self, fault_at: float, champion: str) -> None:
         """Take the moment of the fault [s] and who flies first; nobody when there is no cast."""
@@ -108,7 +108,7 @@ class Events:
     def hear(self, line: str) -> None:
         """Take a line of ``runtime.loop.Loop.say``."""
         at, _, text = line.partition(" s: ")
-        if text.startswith("alarm"):
+        if text.startswith(("alarm", "suspected")):
             self.alarms.append(self._since(at))
         elif " switch to " in text:
             self.switched_at.append(self._since(at))

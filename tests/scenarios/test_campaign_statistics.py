@@ -246,6 +246,11 @@ def test_events_are_counted_against_the_runtimes_own():
     assert (events.alarms, events.switched_at, events.switched_to) == ([-1.0], [-10.0, 0.25], ["good", "good/-e"])
     events.check(1, 1)
     events.check(1, 0)
+    events.hear("11.00 s: found: commands 150 ms late")
+    assert events.alarms == [-1.0]
+    events.hear("11.00 s: suspected: commands 150 ms late")  # does what an alarm does
+    assert events.alarms == [-1.0, 1.0]
+    events.alarms.pop()
     with pytest.raises(RuntimeError, match="the runtime counted"):
         events.check(2, 1)
     with pytest.raises(RuntimeError, match="the runtime counted"):
