@@ -19,7 +19,7 @@ from runtime.mavlink_link import MavlinkLink
 from runtime.population import Population, load_population
 from runtime.presets import PRESETS, resolve
 from runtime.reference import LiveReference, load_reference
-from runtime.session import Flown, Session
+from runtime.session import Flown, Session, members_of
 from runtime.udp import parse_address
 from task.errors import UserError
 
@@ -83,8 +83,9 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
     if isinstance(cast, Solo):
         return f"the law {cast.name} flies alone"
     adaptation = configuration.adaptation
+    members, first = members_of(cast, adaptation), adaptation.first or cast.members[cast.champion]
     return (
-        f"{cast.name}, {len(cast.members)} members, {cast.members[cast.champion]} flies first; "
+        f"{cast.name}, {len(members)} members, {first} flies first; "
         f"preset {configuration.preset}, switch {adaptation.switch}"
     )
 
