@@ -25,6 +25,8 @@ from task.errors import UserError
 
 SILENT_EXIT = 3
 """Exit code when the aircraft's side fell silent in mid-flight."""
+LOST_EXIT = 4
+"""Exit code when the flight is over, but a log or what accompanies it could not be written whole."""
 
 
 class _Stop:
@@ -139,11 +141,11 @@ def main(
 
 
 def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
-    """Say in one line how it ended, and leave with 0, 3 (silence) or 128 + signal."""
+    """Say in one line how it ended, and leave with 0, 3 (silence), 4 (a record is lost) or 128 + signal."""
     if not flown:
         _say(f"stopped by {signal.Signals(stopped_by).name} before any state came; nothing flown")
         sys.exit(128 + stopped_by)
-    outcome, log, summary = flown[-1]
+    outcome, log, summary, lost = flown[-1]
     ended = {
         Outcome.OVER: "flight over",
         Outcome.LOST: "the aircraft is lost",
@@ -153,9 +155,12 @@ def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
     }[outcome]
     _say(
         f"{ended} after {summary.seconds:.1f} s; {summary.cycles} cycles, {summary.switches} switches, "
-        f"{summary.missed + summary.gaps} missed; log in {log}"
+        f"{summary.missed + summary.gaps} missed; "
+        f"{'its record is not whole, see above: ' if lost else 'log in '}{log}"
     )
     if outcome is Outcome.SILENT:
         sys.exit(SILENT_EXIT)
     if outcome is Outcome.STOPPED:
         sys.exit(128 + stopped_by)
+    if any(flight.lost for flight in flown):
+        sys.exit(LOST_EXIT)

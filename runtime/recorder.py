@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from pathlib import Path
 
 import msgspec
@@ -99,6 +100,8 @@ def check_writable(log: Path) -> None:
         log.parent.mkdir(parents=True, exist_ok=True)
         device = log.exists() and not log.is_file()  # such as /dev/null; a file that is there is left as it is
         writable = os.access(log if device else log.parent, os.W_OK) and not log.is_dir()
+        if not device and writable:
+            tempfile.TemporaryFile(dir=log.parent).close()  # not every folder that may be written takes files: /proc
     except OSError:
         writable = False
     if not writable:
@@ -176,15 +179,27 @@ class Recorder:
             ],
         ) if structured else None  # fmt: skip
         self._log.begin()
+        self.lost: list[str] = []
+        """What of the record could not be written, and why, a line each."""
         self._reserve = configuration.adaptation.elevator_reserve
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
         self._write_beside("config", configuration)
 
     def _write_beside(self, what: str, value: object) -> None:
-        """Write a file that accompanies the log; a disk that is full takes nothing but the file."""
-        with contextlib.suppress(OSError):
-            beside(self.path, what).write_bytes(to_json(value))
+        """Write a file that accompanies the log; one that the disk does not take whole is no file.
+
+        What is no file of its own, as /dev/null, is accompanied by nothing.
+        """
+        if not self.path.is_file():
+            return
+        path = beside(self.path, what)
+        try:
+            path.write_bytes(to_json(value))
+        except OSError as error:
+            self.lost.append(f"{path}: cannot be written: {error.strerror}")
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
 
     def _parameters(self, tree: dict[str, object], prefix: str = "") -> None:
         """Write the configuration: numbers as parameters, words as information."""
@@ -249,3 +264,5 @@ class Recorder:
         self._log.close()
         summary.log_error = self._log.error
         self._write_beside("summary", summary)
+        if self._log.error:
+            self.lost.insert(0, self._log.error)

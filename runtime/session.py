@@ -31,11 +31,13 @@ from task.state import N_REFERENCE, N_STATE
 
 
 class Flown(NamedTuple):
-    """One flight that was flown: how it ended, its log (None without one) and its summary."""
+    """One flight that was flown: how it ended, its log (None without one), its summary, and what of them is lost."""
 
     outcome: Outcome
     log: Path | None
     summary: Summary
+    lost: tuple[str, ...] = ()
+    """What of its record could not be written, and why."""
 
 
 def log_path(log: Path, number: int) -> Path:
@@ -220,9 +222,9 @@ class Session:
         summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
         recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
         recorder.close(summary)
-        if summary.log_error:
-            self._say(summary.log_error)
-        return Flown(outcome, path, summary), loop.next_flight
+        for line in recorder.lost:
+            self._say(line)
+        return Flown(outcome, path, summary, tuple(recorder.lost)), loop.next_flight
 
     def _summarise(
         self, loop: Loop, plays: Plays | NoPlays, clock: Clock, outcome: Outcome, wall_seconds: float

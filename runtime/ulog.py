@@ -163,5 +163,8 @@ class ULog:
         if self._thread is not None:
             self._blocks.put(None)
             self._thread.join()
-        if self._file is not None:
-            self._file.close()
+        try:
+            if self._file is not None:
+                self._file.close()
+        except OSError as error:  # what a server's disk had no room for may be told as late as this
+            self.error = self.error or f"{self.path}: the log ends here: {error.strerror}"

@@ -163,6 +163,19 @@ def test_silence_in_real_time_is_bridged_by_the_held_command(runtime, bridge, tm
     assert "no state came" in said(tmp_path, "runtime")
 
 
+@pytest.mark.parametrize(("name", "line"), [("f.ulg", "the log ends here"), ("f.summary.json", "cannot be written")])
+def test_a_record_that_the_disk_does_not_take_is_said_and_is_the_exit_code(runtime, bridge, tmp_path, name, line):
+    (tmp_path / name).symlink_to("/dev/full")
+    flying = runtime("--log", "f.ulg")
+    bridge("--duration", "1")
+    assert flying.wait(TIMEOUT) == 4
+    *_, lost, last = lines(said(tmp_path, "runtime"))
+    assert lost == f"runtime: {name}: {line}: No space left on device"
+    assert "flight over after 1.0 s" in last
+    assert last.endswith("its record is not whole, see above: f.ulg")
+    assert not (tmp_path / "f.summary.json").exists()
+
+
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_flight_with_its_log(runtime, bridge, tmp_path, stop):
     flying = runtime("--log", "f.ulg")
@@ -188,6 +201,7 @@ def test_nobody_there_is_one_line(runtime, tmp_path):
         (("--config", "nowhere.toml"), "nowhere.toml: no such configuration"),
         (("--link", "tcp:1:2"), "--link tcp:1:2: expected udpin:HOST:PORT"),
         (("--log", "/proc/nowhere/f.ulg"), "--log /proc/nowhere/f.ulg: cannot be written"),
+        (("--log", "/proc/f.ulg"), "--log /proc/f.ulg: cannot be written"),
     ],
 )
 def test_bad_input_is_one_line(runtime, tmp_path, arguments, line):
