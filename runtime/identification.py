@@ -177,7 +177,7 @@ class IncrementalModel:
             if rates is None:
                 raise UserError(
                     "effectiveness = 'structured', but the population brings no rate model; "
-                    "export it again, or --set effectiveness=none"
+                    "export it again, or fly --preset understudy"
                 )
             self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
         self._schedule: tuple[Condition, RateModel] | None = None

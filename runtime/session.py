@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from runtime.clock import Clock, RateKeeper, SteppedClock, harden
@@ -63,9 +64,13 @@ def members_of(population: Population, adaptation: Adaptation) -> list[str]:
     """Return the names of all members, networks before laws. Raises UserError when they do not fit together."""
     names = [*population.members, *adaptation.laws]
     if twice := [name for name in adaptation.laws if name in population.members]:
-        raise UserError(f"laws: {twice[0]}: the population has a member of this name; --set laws without it")
+        others = msgspec.json.encode([name for name in adaptation.laws if name not in population.members]).decode()
+        raise UserError(f"laws: {twice[0]}: the population has a member of this name; --set 'laws={others}'")
     if adaptation.first and adaptation.first not in names:
-        raise UserError(f"first: expected one of {', '.join(names)}, got {adaptation.first!r}")
+        raise UserError(
+            f"first: expected one of {', '.join(names)}, got {adaptation.first!r}; --set first=NAME, "
+            "or --set first= for the population's champion"
+        )
     return names
 
 
