@@ -146,10 +146,11 @@ def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
         _say(f"stopped by {signal.Signals(stopped_by).name} before any state came; nothing flown")
         sys.exit(128 + stopped_by)
     outcome, log, summary, lost = flown[-1]
+    silence = link.silence() if summary.cycles else link.diagnosis()
     ended = {
         Outcome.OVER: "flight over",
         Outcome.LOST: "the aircraft is lost",
-        Outcome.SILENT: f"the aircraft's side fell silent; {link.diagnosis()}",
+        Outcome.SILENT: f"the aircraft's side fell silent ({silence})",
         Outcome.STOPPED: f"stopped by {signal.Signals(stopped_by).name}" if stopped_by else "stopped",
         Outcome.REPLACED: "replaced",
     }[outcome]

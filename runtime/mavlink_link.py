@@ -95,6 +95,8 @@ class MavlinkLink:
         """Who spoke last: is told that we are here while there is no peer."""
         self._aircraft = (-1, -1)
         self._peer_heard = -1e9
+        self._last = ("", -1e9)
+        """What came last, and when."""
         self._flight = -1
         self._newest_usec = -1
         self._answered = (-1, -1)
@@ -169,6 +171,11 @@ class MavlinkLink:
             return "nothing came at all: is the aircraft's side started, and sent to this address?"
         return "nothing came back: is the aircraft's side listening there?"
 
+    def silence(self) -> str:
+        """Return in words for how long no state has come to a flight, and what came last."""
+        now, (what, at) = time.monotonic(), self._last
+        return f"no state for {now - self._peer_heard:.1f} s; what came last, {now - at:.1f} s ago, was {what}"
+
     def _next_sequence(self) -> int:
         sequence = self._mav.seq
         self._mav.seq = (sequence + 1) & 0xFF
@@ -217,6 +224,7 @@ class MavlinkLink:
             self._say_here(line)
 
     def _refuse(self, why: str) -> None:
+        self._last = f"refused: {why}", time.monotonic()
         self.refused[why if why in self.refused or len(self.refused) < self.LINES else "more of other kinds"] += 1
         self._once(f"link: refused: {why}", why)
 
@@ -268,6 +276,7 @@ class MavlinkLink:
                 return None
             self._peer, self._aircraft = peer, identity
         self._peer_heard = now
+        self._last = "ODOMETRY", now
         if (odometry.reset_counter, odometry.time_usec) == self._answered:
             self.repeated += 1
             self._send(self._controls.pack(self._next_sequence(), odometry.time_usec, self._answer))
@@ -282,6 +291,7 @@ class MavlinkLink:
     def _take_other(self, frame: Frame, peer: Peer) -> None:
         """Take a message that is no state; what is of no use is counted unread."""
         name = mavlink.mavlink_map[frame.message].msgname if frame.message in mavlink.mavlink_map else "unknown"
+        self._last = name, time.monotonic()
         handler = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._take_heartbeat,
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._take_origin,
