@@ -26,7 +26,7 @@ from runtime.codec import (
     next_frame,
 )
 from runtime.link import LOST, OVER, Sample
-from runtime.udp import Address, Peer, open_socket
+from runtime.udp import Address, Peer, open_socket, resolve
 from task.errors import UserError
 from task.state import N_ACTION
 
@@ -89,7 +89,7 @@ class MavlinkLink:
         self._odometry = Odometry()
         self._origins: dict[Sender, float] = {}
         """Altitude of each sender's origin [m], the one told last at the end."""
-        self._peer: Peer | None = None if address.bind else address.peer
+        self._peer: Peer | None = None if address.bind else resolve(address)
         """Whose states are flown."""
         self._caller: Peer | None = None
         """Who spoke last: is told that we are here while there is no peer."""

@@ -31,11 +31,23 @@ def parse_address(text: str) -> Address:
     return Address(text, kind == "udpin", (host, int(port)))
 
 
+def resolve(address: Address) -> Peer:
+    """Return the peer with its host as a number; raise UserError when nobody knows it."""
+    host, port = address.peer
+    try:
+        found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+    except (OSError, ValueError, TypeError) as error:  # what cannot be a host's name is a UnicodeError, or a TypeError
+        why = error.strerror if isinstance(error, OSError) else "it is no name of a host"
+        raise UserError(f"--link {address.text}: cannot resolve {host}: {why}; check the address") from None
+    return str(found[0]), port
+
+
 def open_socket(address: Address) -> socket.socket:
     """Return the socket, bound when the address says so; raise UserError when that cannot be."""
+    here = resolve(address) if address.bind else ("", 0)
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        udp.bind(address.peer if address.bind else ("", 0))
+        udp.bind(here)
     except OSError as error:
         udp.close()
         if error.errno == errno.EADDRINUSE:

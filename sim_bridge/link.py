@@ -44,6 +44,9 @@ class Link:
         except OSError as error:
             self._socket.close()
             raise UserError(f"--link {link}: cannot reach {host}: {error.strerror}; check the address") from None
+        except (ValueError, TypeError):
+            self._socket.close()
+            raise UserError(f"--link {link}: cannot reach {host}: it is no name of a host; check the address") from None
         self._socket.setblocking(False)
 
     def send(self, datagram: bytes) -> None:

@@ -96,6 +96,13 @@ def test_a_bad_address_is_one_line(text, line):
         parse_address(text)
 
 
+@pytest.mark.parametrize("kind", ["udpin", "udpout"])
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "ü..x", "a" * 70])
+def test_a_host_that_nobody_knows_is_one_line_at_the_start(kind, host):
+    with pytest.raises(UserError, match=f"--link {kind}:{host}:14560: cannot resolve {host}: .*; check the address"):
+        MavlinkLink(parse_address(f"{kind}:{host}:14560"), True)
+
+
 def test_a_port_in_use_and_a_foreign_host_are_one_line(make):
     _, port = make()
     with pytest.raises(UserError, match=f"port {port} is in use"):

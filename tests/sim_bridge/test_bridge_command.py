@@ -112,6 +112,7 @@ def test_no_runtime_is_one_line_and_exit_code_2(tmp_path):
         (("--link", "udpin:0.0.0.0:14560"), None, "expected udpout:HOST:PORT"),
         (("--link", "udpout:127.0.0.1:0"), None, "expected a port from 1 to 65535"),
         (("--link", "udpout:no.such.host.invalid:1"), None, "cannot reach no.such.host.invalid"),
+        (("--link", "udpout:ü..x:1"), None, "cannot reach ü..x: it is no name of a host"),
         (("--truth", "."), None, "expected a file"),
         (("--truth", "x", "--summary", "./x"), None, "--summary x: is --truth's file too"),
         (("--flight", "f.toml", "--truth", "f.toml"), "seed = 1", "--truth f.toml: is --flight's file too"),
