@@ -22,6 +22,7 @@ from runtime.reference import LiveReference, load_reference
 from runtime.session import Flown, Session, members_of
 from runtime.udp import parse_address
 from task.errors import UserError
+from task.files import find_population
 
 SILENT_EXIT = 3
 """Exit code when the aircraft's side fell silent in mid-flight."""
@@ -77,7 +78,7 @@ def _load(population: Path | None, law: LawName | None, configuration: Configura
     if law is not None:
         return load_solo(law, configuration.operation.dt)
     assert population is not None  # _configure saw to it
-    return load_population(population)
+    return load_population(find_population(population))
 
 
 def _describe(cast: Population | Solo, configuration: Configuration) -> str:
@@ -95,7 +96,8 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
 @click.command()
 @click.option("--link", "address", default="udpin:0.0.0.0:14560", show_default=True,
               help="udpin:HOST:PORT is bound and answers who speaks; udpout:HOST:PORT speaks first.")  # fmt: skip
-@click.option("--population", type=Path, help="The cast: a folder that 'understudy export' wrote.")
+@click.option("--population", type=Path,
+              help="The cast: a folder that 'understudy export' wrote, or its name under populations/.")  # fmt: skip
 @click.option("--law", type=click.Choice(LAWS), help="Fly this classical law instead of a population.")
 @click.option("--reference", "reference_path", type=Path,
               help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip

@@ -16,11 +16,11 @@ from scenarios.cli import INTERRUPTED, console, default_jobs, fly_scenario
 from scenarios.outputs import prepare_folder
 from scenarios.references import with_count
 from scenarios.report import scores_by_mode, write_report
-from scenarios.run import find_population
 from scenarios.schema import MODES, PEERS, find, load_scenario
 from scenarios.score import Score
 from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, Scores, change, changes, summarise
+from task.files import find_population
 from task.results import FOLDER, Claim, Result, Table, write
 from understudy import run
 

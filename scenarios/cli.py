@@ -19,10 +19,11 @@ from scenarios.outputs import claimed, copy, prepare_file
 from scenarios.processes import StoppedError
 from scenarios.references import build, with_count
 from scenarios.report import scores_by_mode, write_report
-from scenarios.run import Result, find_population, fly_all, plan
+from scenarios.run import Result, fly_all, plan
 from scenarios.screen import Board, print_table
 from scenarios.summary import summarise
 from task.errors import UserError
+from task.files import find_population
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""

@@ -123,18 +123,6 @@ class Silent:
         """Do nothing."""
 
 
-def find_population(name: str | Path) -> Path:
-    """Return the folder of a population given by path or by its name under ``populations/``. Raises UserError."""
-    places = [Path(name), Path("populations") / name, ROOT / "populations" / name]
-    for place in places:
-        if (place / "manifest.json").is_file():
-            return place
-    raise UserError(
-        f"population {str(name)!r}: no such population; expected a folder with a manifest.json, looked in "
-        f"{', '.join(dict.fromkeys(str(p) for p in places[:2]))}; train and export one, or give --population"
-    )
-
-
 def plan(
     flight: Flight,
     references: Sequence[NamedReference],

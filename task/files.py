@@ -1,4 +1,4 @@
-"""Where files are to go: asked before the work that fills them, not after it."""
+"""Where populations are, and where files are to go: asked before the work that fills them, not after it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import tempfile
 from pathlib import Path
 
 from task.errors import UserError
+
+ROOT = Path(__file__).resolve().parents[1]
+"""Of the source tree, which brings populations along."""
 
 
 def make_folder(folder: Path, what: str) -> Path:
@@ -17,3 +20,15 @@ def make_folder(folder: Path, what: str) -> Path:
     except OSError as error:
         raise UserError(f"{what}: {folder}: cannot write there: {error.strerror}; choose another folder") from None
     return folder
+
+
+def find_population(name: str | Path) -> Path:
+    """Return the folder of a population given by path or by its name under ``populations/``. Raises UserError."""
+    places = [Path(name), Path("populations") / name, ROOT / "populations" / name]
+    for place in places:
+        if (place / "manifest.json").is_file():
+            return place
+    raise UserError(
+        f"population {str(name)!r}: no such population; expected a folder with a manifest.json, looked in "
+        f"{', '.join(dict.fromkeys(str(p) for p in places[:2]))}; train and export one, or give --population"
+    )

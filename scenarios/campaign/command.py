@@ -27,9 +27,8 @@ from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
 from scenarios.cli import console, default_jobs
 from scenarios.results_page import page
-from scenarios.run import find_population
 from task.errors import UserError
-from task.files import make_folder
+from task.files import find_population, make_folder
 from task.results import Result, read, write
 from understudy import stopping
 

@@ -14,7 +14,7 @@ import pytest
 
 from runtime.population import load_population
 from scenarios.campaign.command import QUICK
-from scenarios.run import find_population
+from task.files import find_population
 from task.results import Result
 
 COMMAND = (
