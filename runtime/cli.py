@@ -103,7 +103,11 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
               help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip
 @click.option("--preset", type=click.Choice(list(PRESETS)), help="Recipe of the adaptation.  [default: understudy]")
 @click.option("--switch", type=click.Choice(["none", "hard", "soft"]), help="How the cast changes.  [default: soft]")
-@click.option("--config", type=Path, help="TOML with [adaptation] and [operation] tables, over the preset.")
+@click.option(
+    "--config",
+    type=Path,
+    help="TOML with [adaptation] and [operation] tables, over the preset; or a flight's .config.json.",
+)
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override one value; may be repeated.")
 @click.option("--log", type=Path, default=Path("flight.ulg"), show_default=True,
               help="The flight log (ULog); configuration and summary are written beside it.")  # fmt: skip

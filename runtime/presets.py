@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from runtime.config import Adaptation, Configuration, Operation
-from task.config import Settings, convert, read_bytes
+from task.config import Settings, convert, read_json, read_toml
 from task.errors import UserError
 
 _IDENTIFIED: dict[str, Any] = {
@@ -88,15 +88,16 @@ def resolve(
 ) -> Configuration:
     """Return the configuration: preset, the file over it, ``key=value`` overrides, then ``switch`` and ``real_time``.
 
-    The file is TOML with an optional ``preset`` and tables ``[adaptation]`` and ``[operation]``. A preset given here
-    beats the one in the file. Raises UserError naming the file or option, the key, expected and got.
+    The file is TOML with an optional ``preset`` and tables ``[adaptation]`` and ``[operation]``, or the JSON that lies
+    beside each log, by whose name's end it is known. A preset given here beats the one in the file. Raises UserError
+    naming the file or option, the key, expected and got.
     """
     data: dict[str, Any] = {}
     if file is not None:
-        try:
-            data = tomllib.loads(read_bytes(file, "configuration").decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise UserError(f"{file}: not valid TOML: {error}") from None
+        read = read_json if file.suffix == ".json" else read_toml
+        data = read(file, "configuration")
+        if not isinstance(data, dict):
+            convert(data, Configuration, str(file))  # which says what is expected
     name = preset or data.get("preset", "understudy")
     if not isinstance(name, str) or name not in PRESETS:
         where = f"{file}: " if preset is None else ""

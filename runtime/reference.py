@@ -142,7 +142,7 @@ def _read_table(path: Path) -> np.ndarray:
         if table.dtype.kind not in "biuf":
             raise UserError(f"{path}: expected numbers, got an array of {table.dtype}; save it as float64")
         return table.astype(float)
-    lines = [line.strip() for line in data.decode(errors="replace").splitlines()]
+    lines = [line.strip() for line in data.decode("utf-8-sig", errors="replace").splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     if lines and lines[0][0].isalpha():
         header = tuple(name.strip() for name in lines[0].split(","))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import re
 import tomllib
@@ -175,22 +176,30 @@ def read_bytes(path: Path, what: str) -> bytes:
         raise UserError(f"{path}: cannot read the {what}: {error.strerror}") from None
 
 
-def load_toml(path: Path, kind: type[T], what: str = "configuration") -> T:
-    """Return a TOML file as the struct ``kind``; raise UserError with path, key, expected and got."""
+def read_toml(path: Path, what: str = "configuration") -> dict[str, Any]:
+    """Return the tables of a TOML file, with or without a byte order mark; raise UserError when it is none."""
     try:
-        data = tomllib.loads(read_bytes(path, what).decode())
+        return tomllib.loads(read_bytes(path, what).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: not valid TOML: {error}") from None
-    return convert(data, kind, str(path))
+
+
+def read_json(path: Path, what: str = "file") -> Any:
+    """Return what a JSON file holds, with or without a byte order mark; raise UserError when it is none."""
+    try:
+        return msgspec.json.decode(read_bytes(path, what).removeprefix(codecs.BOM_UTF8))
+    except msgspec.DecodeError as error:
+        raise UserError(f"{path}: not valid JSON: {error}") from None
+
+
+def load_toml(path: Path, kind: type[T], what: str = "configuration") -> T:
+    """Return a TOML file as the struct ``kind``; raise UserError with path, key, expected and got."""
+    return convert(read_toml(path, what), kind, str(path))
 
 
 def load_json(path: Path, kind: type[T], what: str = "file") -> T:
     """Return a JSON file as the struct ``kind``; raise UserError with path, key, expected and got."""
-    try:
-        data = msgspec.json.decode(read_bytes(path, what))
-    except msgspec.DecodeError as error:
-        raise UserError(f"{path}: not valid JSON: {error}") from None
-    return convert(data, kind, str(path))
+    return convert(read_json(path, what), kind, str(path))
 
 
 def to_json(value: Any) -> bytes:

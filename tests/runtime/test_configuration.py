@@ -24,6 +24,28 @@ def test_what_is_saved_is_what_was_resolved():
     assert convert(msgspec.json.decode(to_json(configuration)), type(configuration), "saved") == configuration
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_flight_is_repeated_from_its_record(tmp_path, preset):
+    configuration = resolve(preset, None, ("rho=0.1", "patience=3", "rate_noise=0.00063245553203367"), "hard", True)
+    record = tmp_path / "flight.config.json"
+    record.write_bytes(to_json(configuration))
+    again = resolve(None, record)
+    assert again == configuration
+    assert to_json(again) == record.read_bytes()
+
+
+def test_a_record_that_is_none_is_one_line(tmp_path):
+    record = tmp_path / "flight.config.json"
+    for text, line in (
+        ("[1]", "expected `object`"),
+        ("{", "not valid JSON"),
+        ('{"adaptation": 1}', "expected `object`"),
+    ):
+        record.write_text(text)
+        with pytest.raises(UserError, match=f"flight.config.json: {line}"):
+            resolve(None, record)
+
+
 @pytest.mark.parametrize(
     ("overrides", "line"),
     [

@@ -161,3 +161,9 @@ def test_a_gap_is_no_slope():
 
 def test_without_a_time_the_present_is_held():
     np.testing.assert_array_equal(seen(ramp(0.05, -0.2), 0.0), np.tile(np.float32(ramp(0.05, -0.2)[-1]), (201, 1)))
+
+
+def test_a_byte_order_mark_is_no_part_of_a_table(tmp_path):
+    for header in ("t,theta,phi,beta\n", ""):
+        (tmp_path / "a.csv").write_text(f"{header}0,0.1,0,0\n1,0.1,0,0\n", encoding="utf-8-sig")
+        assert load_reference(tmp_path / "a.csv").at(0.5)[0] == pytest.approx(0.1)

@@ -117,3 +117,9 @@ def test_numbers_are_no_larger_than_what_calculates_with_them_holds() -> None:
     assert "got 1000000000" in answer({"size": 10**400})
     assert answer({"count": 2**31}).endswith("got 2147483648 - at `$.count`")
     assert convert({"size": 10**12, "count": 2**31 - 1, "kept": {"n": 2**40}}, Numbers, "s").size == 1e12
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
+    for name, load, text in (("a.toml", load_toml, 'name = "ü"\n'), ("a.json", load_json, '{"name": "ü"}')):
+        (tmp_path / name).write_text(text, encoding="utf-8-sig")
+        assert load(tmp_path / name, Outer) == Outer(name="ü")
