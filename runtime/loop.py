@@ -23,7 +23,7 @@ from runtime.link import Link, Sample, Severity
 from runtime.plays import Played, Plays
 from runtime.policy import Policy
 from runtime.recorder import Recorder
-from runtime.reference import Reference
+from runtime.reference import RecordedReference, Reference
 from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast
 from task.state import N_REFERENCE
@@ -118,6 +118,14 @@ class Loop:
         self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
         self.reference.start(first.x)
         self.clock.arrived()
+        t = 1e-6 * (first.time_usec - self._zero_usec)
+        if isinstance(self.reference, RecordedReference) and 0.0 < self.reference.duration < t:
+            self.say(
+                first,
+                Severity.WARNING,
+                f"the reference ended at {self.reference.duration:g} s: its last row is held; where its t = 0 is the "
+                "first state, --set reference_from=first_state",
+            )
 
     def cycle(self, sample: Sample) -> None:
         """Answer one state: read, identify, decide, act, write."""

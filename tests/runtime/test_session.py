@@ -202,6 +202,22 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     assert second.summary.updates == 200 - 3
 
 
+@pytest.mark.parametrize(("since", "told"), [("zero", 1), ("first_state", 0)])
+def test_a_clock_that_starts_after_the_references_end_is_told_so(cast, plant_link, tmp_path, since, told):
+    epoch, lines = 1_700_000_000_000_000, []
+
+    class Unix(plant_link):
+        def read(self, timeout):
+            sample = super().read(timeout)
+            return sample and sample._replace(time_usec=sample.time_usec + epoch)
+
+        def write(self, action, time_usec):
+            super().write(action, time_usec - epoch)
+
+    fly(Unix(10), cast, tmp_path / "f.ulg", overrides=(f"reference_from={since}",), say=lines.append)
+    assert len([line for line in lines if "the reference ended at 19.99 s: its last row is held" in line]) == told
+
+
 def test_a_population_flies_with_its_own_sample_time_alone(cast, plant_link, tmp_path):
     with pytest.raises(UserError, match=r"dt: population .* flies with 0.01 s, got 0.02 s"):
         fly(plant_link(10), cast, tmp_path / "f.ulg", overrides=("dt=0.02",))
