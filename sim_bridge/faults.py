@@ -16,22 +16,37 @@ import numpy as np
 from sim_bridge.actuators import FREE_STOP
 from sim_bridge.effects import CLEAN_ALPHA_MAX, ENGINE_ARM
 from sim_bridge.fault import Condition, Fault, NotNegative
-from sim_bridge.sensors import SignalName
+from sim_bridge.sensors import SignalName, check_error
 from task.state import ACTION, N_ACTION, STATE
 
 SurfaceName = Literal["elevator", "aileron", "rudder"]
 SURFACES: dict[str, int] = {"elevator": ACTION.de, "aileron": ACTION.da, "rudder": ACTION.dr}
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+LARGEST_FACTOR = 10.0
+"""No surface works so many times as well as it should, either way [-]."""
+LARGEST_ANGLE = round(math.degrees(FREE_STOP), 6)
+"""No surface goes farther [deg]."""
+
+Factor = Annotated[float, msgspec.Meta(ge=-LARGEST_FACTOR, le=LARGEST_FACTOR)]
+Angle = Annotated[float, msgspec.Meta(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
+Amplitude = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_ANGLE)]
+Rate = Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)]
+Frequency = Annotated[float, msgspec.Meta(ge=0.01, le=50.0)]
+"""Up to half the sample rate."""
+Wind = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+"""As much as the steady wind may be [m/s]."""
+GARBAGE = 10.0
+"""A sensor that fails may say so many times what a flight's own sensors may be off by: what no aircraft does [-]."""
+Thrust = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 Delay = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
-Row = tuple[float, float, float]
+Row = tuple[Factor, Factor, Factor]
 
 
 class Effectiveness(Fault, frozen=True, kw_only=True, tag="effectiveness"):
     """A surface moves, but its effect, trim deflection included, is multiplied (F5: elevator x 0.3)."""
 
     surface: SurfaceName
-    factor: float
+    factor: Factor
     """Effect over nominal effect [-]; -1 is reversed, 0 is none."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -45,11 +60,6 @@ class Mixing(Fault, frozen=True, kw_only=True, tag="mixing"):
     matrix: tuple[Row, Row, Row]
     """Row: effective elevator, aileron, rudder; column: deflection of elevator, aileron, rudder [-]."""
 
-    def __post_init__(self) -> None:
-        """Check the matrix."""
-        if not np.isfinite(self.matrix).all():
-            raise ValueError(f"matrix: expected nine finite numbers, got {self.matrix}")
-
     def apply(self, condition: Condition, level: float) -> None:
         """Multiply the mixing."""
         identity = np.eye(N_ACTION)
@@ -60,6 +70,12 @@ class Crossed(Fault, frozen=True, kw_only=True, tag="crossed"):
     """Two surfaces have each other's effect: a wrongly rigged control."""
 
     surfaces: tuple[SurfaceName, SurfaceName] = ("aileron", "rudder")
+
+    def __post_init__(self) -> None:
+        """Check that there are two."""
+        super().__post_init__()
+        if self.surfaces[0] == self.surfaces[1]:
+            raise ValueError(f"surfaces: expected two that differ, got {self.surfaces[0]} twice")
 
     def apply(self, condition: Condition, level: float) -> None:
         """Exchange two rows of the mixing."""
@@ -73,7 +89,7 @@ class Jam(Fault, frozen=True, kw_only=True, tag="jam"):
     """A surface goes to an angle and stays there (F6: rudder at 15 degrees)."""
 
     surface: SurfaceName
-    angle_deg: float | None = None
+    angle_deg: Angle | None = None
     """Deflection [deg]; none: where the surface is when the fault begins."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -87,13 +103,14 @@ class Saturation(Fault, frozen=True, kw_only=True, tag="saturation"):
     """A surface cannot leave a range (F3: aileron +-1 degree, F4: elevator +-2.5 degrees)."""
 
     surface: SurfaceName
-    min_deg: float
+    min_deg: Angle
     """Lowest deflection [deg]."""
-    max_deg: float
+    max_deg: Angle
     """Highest deflection [deg]."""
 
     def __post_init__(self) -> None:
         """Check the range."""
+        super().__post_init__()
         if self.min_deg > self.max_deg:
             raise ValueError(f"min_deg: expected at most max_deg = {self.max_deg:g}, got {self.min_deg:g}; swap them")
 
@@ -108,7 +125,7 @@ class RateLimit(Fault, frozen=True, kw_only=True, tag="rate_limit"):
     """A surface moves no faster than this."""
 
     surface: SurfaceName
-    rate_deg_s: Positive
+    rate_deg_s: Rate
     """Largest rate [deg/s]."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -121,7 +138,7 @@ class Bandwidth(Fault, frozen=True, kw_only=True, tag="bandwidth"):
     """A surface follows its command through a first-order lag."""
 
     surface: SurfaceName
-    hz: Positive
+    hz: Frequency
     """Corner frequency [Hz]."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -147,9 +164,9 @@ class Oscillation(Fault, frozen=True, kw_only=True, tag="oscillation"):
     """An oscillatory failure: a sine is added to a surface (liquid) or takes its place (solid)."""
 
     surface: SurfaceName
-    amplitude_deg: NotNegative
+    amplitude_deg: Amplitude
     """Amplitude [deg]."""
-    hz: Positive
+    hz: Frequency
     """Frequency [Hz]."""
     solid: bool = False
     """The sine takes the deflection's place."""
@@ -177,9 +194,9 @@ class CGShift(Fault, frozen=True, kw_only=True, tag="cg_shift"):
 class Icing(Fault, frozen=True, kw_only=True, tag="icing"):
     """Ice on the wings: drag, and lift that grows no further beyond a lower angle of attack (F1)."""
 
-    drag: NotNegative = 0.05
+    drag: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.05
     """Added drag coefficient [-]. The thesis says 0.06; the reference's recordings show 0.05."""
-    alpha_max_deg: Positive = 7.7
+    alpha_max_deg: Annotated[float, msgspec.Meta(ge=1.0, le=30.0)] = 7.7
     """Angle of attack beyond which lift is lost [deg]: 30 % below the clean wing's 11."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -192,11 +209,11 @@ class Icing(Fault, frozen=True, kw_only=True, tag="icing"):
 class Gust(Fault, frozen=True, kw_only=True, tag="gust"):
     """The air moves, on top of the steady wind (R3: 15 ft/s for 3 s)."""
 
-    down: float = 0.0
+    down: Wind = 0.0
     """Velocity of the air downwards [m/s]; the reference's recorded gust is +4.572."""
-    north: float = 0.0
+    north: Wind = 0.0
     """Towards north [m/s]."""
-    east: float = 0.0
+    east: Wind = 0.0
     """Towards east [m/s]."""
     shape: Literal["linear", "cosine"] = "linear"
     """How it comes and goes over the ramp."""
@@ -214,11 +231,11 @@ class Gust(Fault, frozen=True, kw_only=True, tag="gust"):
 class Engine(Fault, frozen=True, kw_only=True, tag="engine"):
     """Engines give less thrust, each its own share; unequal shares yaw the aircraft."""
 
-    left: NotNegative = 1.0
+    left: Thrust = 1.0
     """What is left of the left engine's thrust [-]."""
-    right: NotNegative = 1.0
+    right: Thrust = 1.0
     """What is left of the right engine's thrust [-]."""
-    arm: NotNegative = ENGINE_ARM
+    arm: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = ENGINE_ARM
     """Distance of each engine from the plane of symmetry [m]."""
 
     def apply(self, condition: Condition, level: float) -> None:
@@ -243,6 +260,11 @@ class SensorNoise(Fault, frozen=True, kw_only=True, tag="sensor_noise"):
     sd: NotNegative
     """Standard deviation [the signal's SI unit]."""
 
+    def __post_init__(self) -> None:
+        """Check it against what the signal can be off by."""
+        super().__post_init__()
+        check_error("sd", self.signal, self.sd, GARBAGE)
+
     def apply(self, condition: Condition, level: float) -> None:
         """Add the variance."""
         index = STATE[self.signal]
@@ -255,6 +277,11 @@ class SensorBias(Fault, frozen=True, kw_only=True, tag="sensor_bias"):
     signal: SignalName
     bias: float
     """Error [the signal's SI unit]."""
+
+    def __post_init__(self) -> None:
+        """Check it against what the signal can be off by."""
+        super().__post_init__()
+        check_error("bias", self.signal, self.bias, GARBAGE)
 
     def apply(self, condition: Condition, level: float) -> None:
         """Add the bias."""

@@ -28,6 +28,13 @@ LARGEST: dict[str, tuple[float, str]] = {
 """Largest noise or bias of each signal and its unit: what is larger is a mistake, and nothing flies by it."""
 
 
+def check_error(key: str, signal: SignalName, value: float, times: float = 1.0) -> None:
+    """Raise ValueError where the noise or bias of a signal is larger than so many times the largest."""
+    most, unit = times * LARGEST[signal][0], LARGEST[signal][1]
+    if not abs(value) <= most:  # not a number is never
+        raise ValueError(f"{key}: expected at most {most:g} {unit} either way, got {value:g}")
+
+
 class SensorSettings(Settings, frozen=True):
     """How a flight's sensors are; the defaults are ideal."""
 
@@ -42,9 +49,7 @@ class SensorSettings(Settings, frozen=True):
         """Check each signal against the largest error of its kind."""
         for field in ("noise", "bias"):
             for name, value in getattr(self, field).items():
-                most, unit = LARGEST[name]
-                if not abs(value) <= most:  # not a number is never
-                    raise ValueError(f"{field}.{name}: expected at most {most:g} {unit} either way, got {value:g}")
+                check_error(f"{field}.{name}", name, value)
 
 
 class Sensors:
