@@ -45,13 +45,16 @@ def test_what_a_command_raises_becomes_a_line_and_a_code(raised, code, said, cap
         (["bench.link", "--rounds", "0"], "Invalid value for '--rounds'"),
         (["bench.decision", "--references", "0"], "Invalid value for '--references'"),
         (["bench.train", "--seconds", "0"], "Invalid value for '--seconds'"),
+        (["bench.cast_shapes", "--zzz"], "No such option"),
+        (["export.study", "zzz"], "No such command"),
+        (["export.verification.measure", "--zzz"], "No such option"),
+        (["scenarios.chapter8", "--references", "0"], "Invalid value for '--references'"),
+        (["scenarios.shipped", "--scenario", "zzz"], "zzz"),
         (["understudy", "results", "--out", "/proc/x.md"], "understudy: /proc: cannot be written: "),
     ],
 )
 def test_bad_input_is_no_traceback(arguments, said):
-    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    if not arguments[0].startswith("bench"):
-        environment["MPLBACKEND"] = "nonsense"
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "MPLBACKEND": "nonsense"}
     done = subprocess.run(
         [sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60, check=False, env=environment
     )

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from export.network import Layer, Network, flatten, layout
 from export.population import Description, Member, Population, save_run
 from export.study import short
-from export.study.__main__ import study
+from export.study.command import study
 from export.study.generation import VARIANTS, mutated
 from export.study.ranges import RANGES, configure
 from export.study.short_runs import OPERATORS, operator, smooth_fitness, td3, without_caps

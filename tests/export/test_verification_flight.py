@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench import verification
-from bench.verification import Tracked, fit_phugoid, fly_pids, pitch_pid
+from bench.verification import command as verification
+from bench.verification.command import Tracked, fit_phugoid, fly_pids, pitch_pid
 from export.training.cli import train
 from export.training.rollouts import discounted_penalty
 from export.verification.pitch import DURATION, GAMMA, ID, PitchEnv, pitch_reference

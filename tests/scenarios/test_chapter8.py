@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from scenarios.chapter8 import measured
+from scenarios.chapter8.command import measured
 from scenarios.score import Score
 from task.results import Claim
 

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from scenarios.schema import Scenario, available
 from scenarios.score import Score
-from scenarios.shipped import PICTURED, Flown, main, measured
+from scenarios.shipped.command import PICTURED, Flown, main, measured
 from scenarios.summary import summarise
 from task.results import read
 

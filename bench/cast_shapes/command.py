@@ -24,7 +24,6 @@ from export.network import Layer, Network, flatten, n_parameters, unflatten
 from task.config import convert
 from task.reference import random_reference
 from task.results import Claim, Result, Table, write
-from understudy import run
 
 SEED = 30_000_001
 START = 0.1
@@ -163,7 +162,3 @@ def main(population: Path, frames: int) -> None:
         ],
     )  # fmt: skip
     click.echo(f"wrote {write('cast_shapes', result)}: {msgspec.to_builtins(result.claims[0])['value']} better")
-
-
-if __name__ == "__main__":
-    run(main)

@@ -31,7 +31,6 @@ from task.observation import tracking_error
 from task.reference import BASE_PHI, BASE_THETA, base_reference, n_samples
 from task.results import Claim, Result, Table, write
 from task.state import ACTION, REFERENCE, STATE
-from understudy import run
 
 STEP = math.radians(0.5)
 """Elevator step of thesis figure 9.1 [rad]."""
@@ -327,7 +326,3 @@ def main(runs: Path, episodes: int) -> None:
         verdict = {True: "holds", False: "DOES NOT HOLD", None: ""}[claim.holds]
         click.echo(f"{claim.claim:62s} {claim.value!s:>10} {claim.unit:5s} {claim.target} {verdict}")
     click.echo(f"wrote {write('verification', result)}")
-
-
-if __name__ == "__main__":
-    run(main)

@@ -160,7 +160,3 @@ def main(pderl: Path, ddpg: Path, archive: Path, memory: Path, episodes: int, pi
     for claim in measured.claims:
         console.print(f"{claim.claim}: {claim.value} {claim.unit}", highlight=False)
     console.print(f"wrote {results.write(name, measured)}")
-
-
-if __name__ == "__main__":
-    main()

@@ -22,7 +22,6 @@ from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, Scores, change, changes, summarise
 from task.files import find_population
 from task.results import FOLDER, Claim, Result, Table, write
-from understudy import run
 
 SCENARIO = "cg_shift"
 WORSE = 2.0
@@ -168,7 +167,3 @@ def main(count: int, population: str | None, out: Path | None, results: Path, jo
     file = write(name, measured(scores, cast.name, scenario.references.drawn(), spent, command), results)
     report = write_report(scenario, flown, out)
     screen.print(f"\n{file}\nReport: {report}")
-
-
-if __name__ == "__main__":
-    run(main)

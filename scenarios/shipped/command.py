@@ -20,7 +20,6 @@ from scenarios.schema import Scenario, available, load_scenario
 from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, summarise
 from task.results import FOLDER, Claim, Result, Table, write
-from understudy import run
 
 NAME = "scenarios"
 """Of the result file."""
@@ -132,7 +131,3 @@ def main(names: tuple[str, ...], out: Path, results: Path, figures: Path | None,
     command = "python -m scenarios.shipped" + "".join(f" --scenario {name}" for name in names)
     file = write(NAME, measured(flown, spent / (jobs or default_jobs(realtime=False)), command), results)
     screen.print(f"\n{file}")
-
-
-if __name__ == "__main__":
-    run(main)

@@ -1,0 +1,1 @@
+"""LunarLander as in the thesis's chapter 4, measured: learning curves, faults, behaviours, picks from a repertoire."""
