@@ -16,12 +16,14 @@ FOLDER = Path("docs/img")
 
 @contextmanager
 def picture(name: str, folder: Path = FOLDER) -> Iterator[Figure]:
-    """Give an empty figure, and write what has been drawn to ``docs/img/<name>.png``."""
+    """Give an empty figure, and write what has been drawn to ``docs/img/<name>.png``.
+
+    In full colour: a palette would go by area, and gives a thin curve another's colour.
+    """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     yield figure
     folder.mkdir(parents=True, exist_ok=True)
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=100)
-    # A page's picture needs no more than 256 colours, which are a third of the bytes.
-    Image.open(drawn).convert("RGB").quantize(256).save(folder / f"{name}.png", optimize=True)
+    Image.open(drawn).convert("RGB").save(folder / f"{name}.png", optimize=True)

@@ -54,12 +54,12 @@ class Behaviours(NamedTuple):
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG of 128 colours, without a date."""
+    """Write a figure as PNG in full colour, without a date."""
     path.parent.mkdir(parents=True, exist_ok=True)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.save(path, optimize=True)
     return path
 
 
