@@ -12,9 +12,10 @@ from click.testing import CliRunner
 from export.training.cli import train
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import GymnasiumRollouts
-from export.verification import archive, measure
+from export.verification import archive
 from export.verification.archive import LINEAR, ArchiveSettings, Search, linear, load_elites
 from export.verification.lander import ANGLE, ID, LEFT_LEG, POSITION_NOISE, RIGHT_LEG, VY, X, Y, thrust
+from export.verification.measure import command as measure
 from export.verification.trials import Cast, Grounds, choose, worst_case
 from task import results
 from task.errors import UserError
