@@ -208,7 +208,7 @@ def main(flights: int) -> None:
             )
         ],
         notes=[
-            "Sensors as in case R3; evaluation references of 25 s without preview of faults; the same seeds for all.",
+            "Sensors as in case R3; evaluation references of 25 s; the same seeds for all.",
             "nMAE of what the aircraft does, against a reference that biased sensors let nobody follow closely.",
             "Garbage adds up to 0.2 rad/s, 10 m/s, 0.06 rad and 500 m to every state: any of them might be true.",
         ],

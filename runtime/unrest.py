@@ -106,7 +106,7 @@ class Unrest:
         self._past, third = _third_difference(self._past, w)
         self._past_turning, third_turning = _third_difference(self._past_turning, turning)
         p, q, r = third
-        seen = (0.0 + p * p + q * q + r * r) / (20.0 * RATES)
+        seen = (p * p + q * q + r * r) / (20.0 * RATES)
         self._thirds = [*self._thirds[1:], third]
         self._thirds_turning = [*self._thirds_turning[1:], third_turning]
         self.seen += 1

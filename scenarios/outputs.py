@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import fcntl
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from sim_bridge.truth import write_whole
 from task.errors import UserError
+from task.files import make_folder
 
 LOCK = ".flying"
 """A file in the folder of a scenario that the command which flies there keeps locked; the lock ends with it."""
@@ -24,22 +24,11 @@ def writing(path: Path) -> Iterator[None]:
         raise UserError(f"{path}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make a folder for outputs and try it with a file. Raises UserError.
-
-    A file is what finds out: /proc and others let folders be asked, and asked for, that take none.
-    """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-
-
 def prepare_file(path: Path) -> None:
     """Make the folder of an output and see that a file of its name can be there. Raises UserError."""
     if path.is_dir():
         raise UserError(f"{path}: is a folder; expected the name of a file to write")
-    prepare_folder(path.parent)
+    make_folder(path.parent)
 
 
 def copy(source: Path, path: Path) -> None:
@@ -50,7 +39,7 @@ def copy(source: Path, path: Path) -> None:
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
     """Keep a folder of flights to this command. Raises UserError while another flies there."""
-    prepare_folder(folder)
+    make_folder(folder)
     with writing(folder):
         lock = (folder / LOCK).open("w")
     with lock:

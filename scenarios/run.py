@@ -15,7 +15,7 @@ from typing import Protocol
 
 import msgspec
 
-from scenarios.outputs import prepare_folder, writing
+from scenarios.outputs import writing
 from scenarios.processes import Process, StoppedError, free_port, supervise
 from scenarios.references import NamedReference, csv_bytes
 from scenarios.schema import Mode, to_toml
@@ -25,6 +25,7 @@ from sim_bridge.flight import Flight
 from sim_bridge.truth import write_whole
 from task.config import load_json, to_json
 from task.errors import UserError
+from task.files import make_folder
 from task.reference import n_samples
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -187,7 +188,7 @@ def fly(job: Job, stop: threading.Event | None = None, fresh: bool = False, obse
         result = load_result(job, before.seconds, reused=True)
         observer.finished(job, result)
         return result
-    prepare_folder(job.folder)
+    make_folder(job.folder)
     _clear(job.folder)
     observer.started(job)
     began = time.monotonic()

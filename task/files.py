@@ -11,14 +11,18 @@ ROOT = Path(__file__).resolve().parents[1]
 """Of the source tree, which brings populations along."""
 
 
-def make_folder(folder: Path, what: str) -> Path:
-    """Make a folder in which files can be written, and return it; raise UserError that begins with ``what``."""
+def make_folder(folder: Path, what: str = "") -> Path:
+    """Make a folder in which files can be written, and return it; raise UserError that begins with ``what``, if any.
+
+    A file is what finds out: /proc and others let folders be asked, and asked for, that take none.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise UserError(f"{what}: {folder}: cannot write there: {error.strerror}; choose another folder") from None
+        where = f"{what}: {folder}" if what else str(folder)
+        raise UserError(f"{where}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
     return folder
 
 

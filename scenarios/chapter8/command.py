@@ -13,14 +13,13 @@ import click
 import msgspec
 
 from scenarios.cli import INTERRUPTED, console, default_jobs, fly_scenario
-from scenarios.outputs import prepare_folder
 from scenarios.references import with_count
 from scenarios.report import scores_by_mode, write_report
 from scenarios.schema import MODES, PEERS, find, load_scenario
 from scenarios.score import Score
 from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, Scores, change, changes, summarise
-from task.files import find_population
+from task.files import find_population, make_folder
 from task.results import FOLDER, Claim, Result, Table, write
 
 SCENARIO = "cg_shift"
@@ -150,7 +149,7 @@ def main(count: int, population: str | None, out: Path | None, results: Path, jo
     cast = find_population(population or scenario.population)
     name = "chapter8" if cast.name == scenario.population else f"chapter8_{cast.name}"
     out = out or Path("flights") / name
-    prepare_folder(results)
+    make_folder(results)
     screen = console()
     try:
         flown = fly_scenario(

@@ -14,11 +14,12 @@ from rich.markup import escape
 
 from scenarios.campaign.report import short
 from scenarios.cli import INTERRUPTED, chosen_modes, console, default_jobs, fly_scenario
-from scenarios.outputs import copy, prepare_folder
+from scenarios.outputs import copy
 from scenarios.report import scores_by_mode, write_report
 from scenarios.schema import Scenario, available, load_scenario
 from scenarios.screen import print_table
 from scenarios.summary import BASELINE, Row, summarise
+from task.files import make_folder
 from task.results import FOLDER, Claim, Result, Table, write
 
 NAME = "scenarios"
@@ -110,7 +111,7 @@ def main(names: tuple[str, ...], out: Path, results: Path, figures: Path | None,
     known, screen, spent = available(), console(), 0.0
     flown: dict[str, Flown] = {}
     for folder in (results, *([figures] if figures else [])):
-        prepare_folder(folder)
+        make_folder(folder)
     for name in names or known:
         scenario = load_scenario(known[name])
         modes = chosen_modes(None, scenario.modes)

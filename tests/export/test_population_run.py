@@ -137,5 +137,5 @@ def test_the_command_refuses_unknown_prior_settings(run, tmp_path):
 
 
 def test_the_command_says_before_its_flights_that_it_cannot_write(run):
-    with pytest.raises(UserError, match="/proc/x: /proc: cannot write there"):
+    with pytest.raises(UserError, match="/proc/x: /proc: cannot be written"):
         click.testing.CliRunner().invoke(export, [str(run), "/proc/x"], catch_exceptions=False)

@@ -240,9 +240,9 @@ def test_a_row_may_hold_a_list():
         (["--rows", "members,pid", "--robust", "typo"], "--robust typo: no such member; choose from good"),
         (["--row", "odd=ensemble,first=typo"], "row odd: first: expected one of"),
         (["--name", "a/b"], "--name a/b: expected the beginning of a file's name"),
-        (["--out", "/proc/x"], "--out: /proc/x: cannot write there"),
-        (["--results", "/proc/x"], "--results: /proc/x: cannot write there"),
-        (["--figures", "/proc/x"], "--figures: /proc/x: cannot write there"),
+        (["--out", "/proc/x"], "--out: /proc/x: cannot be written"),
+        (["--results", "/proc/x"], "--results: /proc/x: cannot be written"),
+        (["--figures", "/proc/x"], "--figures: /proc/x: cannot be written"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_flown(cast, tmp_path, arguments, said, monkeypatch):
