@@ -80,6 +80,7 @@ CASES = {
     "pitch gyro 0.05 rad/s": Case(noisy(0.05, gyros=("q",))),
     "garbage for 0.2 s": Case(garbage=20),
     "garbage for 2 s": Case(garbage=200),
+    "garbage from 10 s on": Case(garbage=1500),
     "elevator x -1, 5 % of states lost": Case((Effectiveness(start=AT, surface="elevator", factor=-1.0),), 0.05),
     "commands 150 ms late, 2 % of states lost": Case((Latency(start=AT, seconds=0.15),), 0.02),
     "commands 150 ms late, 5 % of states lost": Case((Latency(start=AT, seconds=0.15),), 0.05),

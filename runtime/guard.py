@@ -29,17 +29,25 @@ class Health:
     """Samples are missing before this one."""
     DEFECT = 128
     """The runtime itself failed at this sample: what was learnt is forgotten."""
+    STATE_JUMPS = 256
+    """The state cannot follow the last one, :class:`runtime.continuity.Continuity`."""
+    COASTING = 512
+    """What is answered is what the model foretells, since no state can be used."""
 
 
 UNUSABLE = Health.STATE_NOT_FINITE | Health.STATE_IMPLAUSIBLE
-"""With one of these the policy is not asked."""
+"""With one of these no policy is shown the state."""
+DOUBTFUL = UNUSABLE | Health.STATE_JUMPS
+"""With one of these the model's word counts more than the state, where there is a model."""
 
 MEANING = {
     Health.STATE_NOT_FINITE: "the state is not finite",
     Health.STATE_IMPLAUSIBLE: "the state is beyond what any aircraft does",
+    Health.STATE_JUMPS: "attitude jumps by what no rate turns it",
     Health.STATE_MISSING: "no state came",
     Health.ACTION_NOT_FINITE: "the policy's command is not finite",
     Health.ACTION_LIMITED: "the policy's command was beyond the limits",
+    Health.COASTING: "flying on what the model foretells",
     Health.HOLDING: "holding the last good command, then trim",
     Health.GAP: "samples are missing",
     Health.DEFECT: "the runtime failed, and learns anew",

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from runtime.coasting import Coasting
 from runtime.config import Adaptation
 from runtime.foretelling import foretell
 from runtime.guard import plausible
@@ -133,6 +134,8 @@ class IncrementalModel:
 
     BRIDGED = 10
     """Longest gap through which the last command is taken to have been held [samples]."""
+    COASTS = 3.0
+    """For so long the model stands in for states that cannot be used [s]."""
 
     def __init__(
         self,
@@ -149,7 +152,7 @@ class IncrementalModel:
         self.command_lag = command_lag
         self.max_delay = max_delay
         self._dt = dt
-        self._history = CommandHistory(command_lag + 1 + max_delay)
+        self._history = CommandHistory(command_lag + 2 + max_delay)
         self.exact_kinematics = settings.model == "reduced"
         self._rows = np.array(REDUCED_REGRESSORS if self.exact_kinematics else range(N_REGRESSORS))
         self.outputs = tuple(STATE(i) for i in (DYNAMIC if self.exact_kinematics else range(N_IDENTIFIED)))
@@ -220,6 +223,7 @@ class IncrementalModel:
         now is known; through a longer one, or None, the commands are forgotten too.
         """
         self._states = 0
+        self._coasting: Coasting | None = None
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
@@ -291,6 +295,32 @@ class IncrementalModel:
             x[:N_IDENTIFIED] = self.snapshot().x
         return x
 
+    @property
+    def coasting(self) -> bool:
+        """Whether :meth:`coast` stands in for states: the next usable one follows a gap."""
+        return self._coasting is not None
+
+    def coast(self) -> np.ndarray | None:
+        """Return the state (10,) to answer instead of :meth:`answered` where that of this sample cannot be used.
+
+        It is foretold from the last usable one with the commands that were sent since. None where no effectiveness is
+        identified, and after ``COASTS``: the model knows the aircraft, not the air.
+        """
+        if self.effectiveness is None or not (self.ready and self.effectiveness.known):
+            return None
+        now, commands = self._coasting, self._history.latest()
+        if now is None:
+            x, dx, model = self._healthy()
+            model, delay = with_effectiveness(model, self.effectiveness.mixing), self.effectiveness.delay_samples
+            now = Coasting(x, dx, model, self.exact_kinematics, min(delay, self.max_delay))
+        if self._dt * now.samples >= self.COASTS:
+            return None
+        now = now.step(commands, self.command_lag, self._dt)
+        if now is None:
+            return None
+        self._coasting = now
+        return now.answered(commands, self.foretold, self.command_lag, self._dt)
+
     def command(self, action: np.ndarray) -> None:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
         for older, newer in zip(self._slots, self._slots[1:], strict=False):
@@ -303,22 +333,28 @@ class IncrementalModel:
         if self.effectiveness is not None:
             self.effectiveness.command(action)
 
-    def snapshot(self) -> Identified:
-        """Return what was learnt so far; call it between :meth:`observe` and :meth:`command`."""
+    def _healthy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the last state (10,) and its increment (10,), float32, and the model (13, 10) with healthy surfaces."""
         theta = self.rls.Theta
         model = embed_reduced(theta) if self.exact_kinematics else theta
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
-        delay, commands, actuators = 0, self._history.latest(), HEALTHY
         if self.effectiveness is not None and self.effectiveness.known:
             self.effectiveness.smooth(x, dx)
         if self._schedule is not None:
             learnt_at, rates = self._schedule
             acting = self._slots[-1] if self.effectiveness is None else self.effectiveness.acting
             model = scheduled(model, learnt_at, rates, x, acting, self._dt)
+        if self.effectiveness is not None and self.exact_kinematics:
+            # Differences of noisy angles would be rates that are not there.
+            dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
+        return x, dx, model
+
+    def snapshot(self) -> Identified:
+        """Return what was learnt so far; call it between :meth:`observe` and :meth:`command`."""
+        x, dx, model = self._healthy()
+        delay, commands, actuators = 0, self._history.latest()[1:], HEALTHY
         if self.effectiveness is not None:
             model = with_effectiveness(model, self.effectiveness.mixing)
-            if self.exact_kinematics:  # differences of noisy angles would be rates that are not there
-                dx[STATE.phi : STATE.h + 1] = self._dt * kinematic_rates(x)
             delay = min(self.effectiveness.delay_samples, self.max_delay)
             if ahead := self.foretold:
                 then = foretell(x, dx, commands, ahead, self.command_lag, model, self.exact_kinematics, self._dt)

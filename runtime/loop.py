@@ -14,9 +14,10 @@ import numpy as np
 
 from runtime.clock import Clock
 from runtime.config import Operation
+from runtime.continuity import Continuity
 from runtime.excitation import Excitation
 from runtime.findings import Findings
-from runtime.guard import NAMES, UNUSABLE, Guard, Health, describe
+from runtime.guard import DOUBTFUL, NAMES, UNUSABLE, Guard, Health, describe
 from runtime.identification import IncrementalModel
 from runtime.laws.solo import NoPlays
 from runtime.link import Link, Sample, Severity
@@ -88,6 +89,9 @@ class Loop:
         self._said_at: dict[int, int] = {}
         self._findings = Findings(model.effectiveness, operation.dt) if model.effectiveness else None
         self._alarms = 0
+        self._continuity = Continuity()
+        self._lost_track = False
+        """Whether the model has stood in for states for as long as it can."""
 
     def fly(self, first: Sample) -> Outcome:
         """Fly from the first state until the flight ends, and say how it ended."""
@@ -156,6 +160,17 @@ class Loop:
         """Return what to send for a state that has come."""
         x, t = sample.x, 1e-6 * (sample.time_usec - self._zero_usec)
         reference, health = self.reference.at(t), self.check(sample)
+        if health & DOUBTFUL:
+            foretold = None if self._lost_track else self.model.coast()
+            if foretold is not None:
+                self.cast.step()
+                command, why = self.guard.command(self.policy.steer(foretold, reference))
+                return Answer(command, reference, health | why | Health.COASTING)
+            self._lost_track = self._lost_track or self.model.coasting
+        else:
+            self._lost_track = False
+        if self.model.coasting:
+            self.restart_histories(missed=0)
         if health & UNUSABLE:
             self.restart_histories(missed=0)
             command, why = self.guard.fallback()
@@ -196,6 +211,8 @@ class Loop:
             self.restart_histories(missed=max(round(step / self._dt_us) - 1, 0))
             self.gaps += 1
             health |= Health.GAP
+        if not health & UNUSABLE and self._continuity.broken(sample.x.tolist(), sample.time_usec):
+            health |= Health.STATE_JUMPS
         return health
 
     def replaces(self, sample: Sample) -> bool:
