@@ -71,4 +71,10 @@ def _turning(last: list[float], x: list[float]) -> tuple[float, float, float, fl
     steep = q * sin_phi + r * cos_phi
     cos_theta = math.copysign(max(abs(math.cos(theta)), Continuity.STEEPEST), math.cos(theta))
     psi_dot = steep / cos_theta
-    return p + psi_dot * math.sin(theta), q * cos_phi - r * sin_phi, psi_dot, q, p * math.sin(alpha) - r * math.cos(alpha)
+    return (
+        p + psi_dot * math.sin(theta),
+        q * cos_phi - r * sin_phi,
+        psi_dot,
+        q,
+        p * math.sin(alpha) - r * math.cos(alpha),
+    )

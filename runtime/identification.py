@@ -15,6 +15,7 @@ from runtime.foretelling import foretell
 from runtime.guard import plausible
 from runtime.history import CommandHistory
 from runtime.lowpass import LowPass
+from runtime.state_filter import StateFilter
 from runtime.structured import Effectiveness
 from task.actuators import HEALTHY
 from task.errors import UserError
@@ -183,6 +184,8 @@ class IncrementalModel:
                     "export it again, or fly --preset understudy"
                 )
             self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
+        self.quiet: StateFilter | None = None
+        """The filter of the other states; None without one of the effectiveness."""
         self._schedule: tuple[Condition, RateModel] | None = None
         """Where the prior is from, and what takes it elsewhere; None where Theta is imagined as it is."""
         if settings.prior == "scheduled":
@@ -192,6 +195,8 @@ class IncrementalModel:
                     "export it again, or --set prior=population"
                 )
             self._schedule = learnt_at, rates
+        if self.effectiveness is not None:
+            self.quiet = StateFilter(learnt_at if self._schedule else None, dt)
         self.restart_history()
 
     def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -212,8 +217,9 @@ class IncrementalModel:
         """Start a new flight: prior, no history, nothing counted."""
         self.rls.reset()
         self.rls.skipped = self.rls.restarts = 0
-        if self.effectiveness is not None:
+        if self.effectiveness is not None and self.quiet is not None:
             self.effectiveness.reset()
+            self.quiet.reset()
         self.restart_history()
 
     def restart_history(self, missed: int | None = None) -> None:
@@ -235,8 +241,9 @@ class IncrementalModel:
         else:
             self._sent = 0
             self._history.restart()
-        if self.effectiveness is not None:
+        if self.effectiveness is not None and self.quiet is not None:
             self.effectiveness.restart_history(commands_known=bridged)
+            self.quiet.restart()
 
     @property
     def alarmed(self) -> bool:
@@ -259,6 +266,7 @@ class IncrementalModel:
             self.effectiveness.observe(x)
             # Theta's G stays that of healthy surfaces: it learns from what they do, not from what they are told.
             self.effectiveness.moved(self._moved_da)
+            self._quieten(x)
         np.copyto(self._x, x)
         self._states += 1
         if self._states == 1:
@@ -272,6 +280,14 @@ class IncrementalModel:
             self._learn(self._z, self._y)
         np.copyto(self._dx, self._moved_dx)
         return learnt
+
+    def _quieten(self, x: np.ndarray) -> None:
+        """Filter the states that are no rates."""
+        found, quiet = self.effectiveness, self.quiet
+        if found is None or quiet is None or not found.known:
+            return
+        theta = embed_reduced(self.rls.Theta) if self.exact_kinematics else self.rls.Theta
+        quiet.hear(x, found.rates, found.increment, self._moved_da, theta)
 
     @property
     def foretold(self) -> int:
@@ -293,6 +309,9 @@ class IncrementalModel:
         if self.foretold:
             x = x.copy()
             x[:N_IDENTIFIED] = self.snapshot().x
+        elif self.quiet is not None and self.quiet.any:
+            x = x.copy()
+            self.quiet.quieten(x)
         return x
 
     @property
@@ -340,6 +359,8 @@ class IncrementalModel:
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
         if self.effectiveness is not None and self.effectiveness.known:
             self.effectiveness.smooth(x, dx)
+        if self.quiet is not None:
+            self.quiet.quieten(x, dx)
         if self._schedule is not None:
             learnt_at, rates = self._schedule
             acting = self._slots[-1] if self.effectiveness is None else self.effectiveness.acting

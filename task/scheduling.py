@@ -69,19 +69,24 @@ def scheduled(
     theta: (13, 10), learnt in the healthy aircraft at ``learnt_at``.
     """
     local = theta.copy()
-    V = x[STATE.V]
-    if not V > LEAST_SPEED:
+    if not x[STATE.V] > LEAST_SPEED:
         return local
     in_state, in_action = slopes(rates, x, u)
     local[: len(DYNAMIC), :RATES] = dt * in_state
     local[range(RATES), range(RATES)] += 1.0
     local[-N_ACTION:, :RATES] = dt * in_action
-    air = dynamic_pressure(V, x[STATE.h]) / V / (dynamic_pressure(learnt_at.V, learnt_at.h) / learnt_at.V)
     for angle in (STATE.alpha, STATE.beta):
-        column = local[:, angle]
-        column[angle] -= 1.0
-        column[_AERODYNAMIC] *= air
-        column[_GRAVITY] *= learnt_at.V / V
-        column[angle] += 1.0
-    local[STATE.p, STATE.beta] = dt * x[STATE.alpha]
+        schedule_angle(local[:, angle], angle, learnt_at, x, dt)
     return local
+
+
+def schedule_angle(column: np.ndarray, angle: int, learnt_at: Condition, x: np.ndarray, dt: float = DT) -> None:
+    """Take the column (13,) of Theta of angle of attack or sideslip to the state x (>= 10,), in place."""
+    V = x[STATE.V]
+    air = dynamic_pressure(V, x[STATE.h]) / V / (dynamic_pressure(learnt_at.V, learnt_at.h) / learnt_at.V)
+    column[angle] -= 1.0
+    column[_AERODYNAMIC] *= air
+    column[_GRAVITY] *= learnt_at.V / V
+    column[angle] += 1.0
+    if angle == STATE.beta:
+        column[STATE.p] = dt * x[STATE.alpha]
