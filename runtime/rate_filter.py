@@ -60,8 +60,7 @@ class RateFilters:
         """Filters in which a surface moves by itself, and the place of lambda in each that goes on so."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
-        self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
-        self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
+        self.forget()
         self.drift_step = np.zeros(RATES)
         """dt A phi of the last prediction (3,) [rad/s]."""
         self.known_step = np.zeros((size, RATES))
@@ -96,6 +95,12 @@ class RateFilters:
         self._S_diagonal = self._S_flat[:, :: RATES + 1]
         self._inverse = np.zeros((size, RATES, RATES))
         self._inverse_flat = self._inverse.reshape(size, RATES * RATES)
+
+    def forget(self) -> None:
+        """Begin a flight: nothing has been measured, and so nothing surprised."""
+        size = len(self.s)
+        self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
+        self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
 
     def linearise(self, x: list[float], washed: float, u: np.ndarray, known: np.ndarray | None = None) -> None:
         """Set F and what steps without the state.

@@ -79,6 +79,7 @@ class Effectiveness:
 
     def reset(self) -> None:
         """Start a new flight: a healthy aircraft, nothing counted."""
+        self.filter.forget()
         self._reopening.reset()
         self.evidence.reset()
         self.unrest.reset()
