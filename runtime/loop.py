@@ -116,7 +116,6 @@ class Loop:
         """Set the times that the flight is counted from."""
         self.first = self.last = first
         self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
-        self.reference.start(first.x)
         self.clock.arrived()
         t = 1e-6 * (first.time_usec - self._zero_usec)
         if isinstance(self.reference, RecordedReference) and 0.0 < self.reference.duration < t:
@@ -141,12 +140,19 @@ class Loop:
         self.link.write(answer.command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
         self.clock.arrived()
+        failed = False
         try:
             self.model.command(answer.command)
             self.policy.sent(answer.command)
-            self.account(sample, answer)
         except Exception as error:
             self.recover(sample, error)
+            failed = True
+        try:
+            self.account(sample, answer)
+        except Exception as error:  # what cannot be recorded was learnt all the same
+            self.confess(sample, error)
+            failed = True
+        if failed:
             self.health_counts[NAMES[Health.DEFECT]] += 1
         self.cycles += 1
         self.last = sample
@@ -155,11 +161,14 @@ class Loop:
     def answer(self, sample: Sample) -> Answer:
         """Return what to send for a state that has come."""
         x, t = sample.x, 1e-6 * (sample.time_usec - self._zero_usec)
-        reference, health = self.reference.at(t), self.check(sample)
+        health = self.check(sample)
         if health & UNUSABLE:
             self.restart_histories(missed=0)
             command, why = self.guard.fallback()
-            return Answer(command, reference, health | why)
+            return Answer(command, self.reference.at(t), health | why)
+        if not self.guard.has_command:  # the flight begins here: its first states may have been garbage
+            self.reference.start(x)
+        reference = self.reference.at(t)
         self.model.observe(x)
         played = self.plays.step(self.tick(sample), t)
         if played is not None:
@@ -171,13 +180,17 @@ class Loop:
 
     def recover(self, sample: Sample, error: Exception) -> Answer:
         """Go on after a defect of the runtime: say it, forget what was learnt, hold the last good command."""
-        if not self.health_counts[NAMES[Health.DEFECT]]:
-            with suppress(Exception):  # it may be what failed
-                self.say(sample, Severity.CRITICAL, f"the runtime failed: {type(error).__name__}: {error}")
+        self.confess(sample, error)
         self.model.reset()
         self.policy.restart_history()
         command, why = self.guard.fallback()
         return Answer(command, np.zeros(N_REFERENCE), why | Health.DEFECT)
+
+    def confess(self, sample: Sample, error: Exception) -> None:
+        """Say the flight's first defect of the runtime."""
+        if not self.health_counts[NAMES[Health.DEFECT]]:
+            with suppress(Exception):  # it may be what failed
+                self.say(sample, Severity.CRITICAL, f"the runtime failed: {type(error).__name__}: {error}")
 
     def tick(self, sample: Sample) -> int:
         """Return how many samples after the first one this is."""
