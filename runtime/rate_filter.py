@@ -9,6 +9,7 @@ eleven states, what costs is the number of array operations, not their size.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,21 @@ MOTION = N - 1
 """Where a filter in which a surface moves by itself has how fast that is, instead of the second slope."""
 
 
+class Motion(NamedTuple):
+    """Where K filters have how far a surface has moved by itself, and how fast it does: views of their s and P."""
+
+    place: np.ndarray
+    """Of s (K,): in the place of that surface's lambda."""
+    speed: np.ndarray
+    """Of s (K,): in the place of :data:`MOTION`."""
+    rows: tuple[np.ndarray, np.ndarray]
+    """Of P, the rows (K, 11) of place and speed."""
+    columns: tuple[np.ndarray, np.ndarray]
+    """Of P, the columns (K, 11) of place and speed."""
+    slope: np.ndarray
+    """Of F_rates (K,): what the speed does to r, where other filters have a slope."""
+
+
 class RateFilters:
     """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt (A phi + B known), w measured with independent noise.
 
@@ -56,8 +72,8 @@ class RateFilters:
         self.q_gust = 0.0
         """Variance of the sideslip that the air adds at each prediction, and no sensor sees [rad2]: by what it does the
         bias drifts besides."""
-        self.moving: tuple[np.ndarray, np.ndarray] | None = None
-        """Filters in which a surface moves by itself, and the place of lambda in each that goes on so."""
+        self.moving: tuple[Motion, ...] = ()
+        """Of filters in which a surface moves by itself, by :meth:`motion`."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
         self.forget()
@@ -122,8 +138,8 @@ class RateFilters:
             np.multiply(self.q_gust * self._sideslip[:, None], self._sideslip, out=self._gust)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
-        if self.moving is not None:
-            self.F_rates[self.moving[0], 2, MOTION] = 0.0
+        for motion in self.moving:
+            motion.slope[:] = 0.0
         if known is not None:
             np.matmul(known, self._effects_transposed, out=self.known_step)
 
@@ -146,18 +162,27 @@ class RateFilters:
         np.copyto(self._P_rows, self._rows)
         np.matmul(self.P, self._F_transposed, out=self._columns)
         np.copyto(self._P_columns, self._columns)
-        if self.moving is not None:
-            self._move(*self.moving)
+        for motion in self.moving:
+            self._move(motion)
         np.add(self.variances, self.q, out=self.variances)
         if self.q_gust:
             np.add(self._P_bias, self._gust, out=self._P_bias)
 
-    def _move(self, rows: np.ndarray, places: np.ndarray) -> None:
+    def motion(self, filters: slice, places: slice | int) -> Motion:
+        """Return where filters have a surface's motion: each in a place of its own, or all in one."""
+        s, P = self.s[filters], self.P[filters]
+        if isinstance(places, int):
+            place, row, column = s[:, places], P[:, places], P[:, :, places]
+        else:  # the diagonals over filters and places; numpy's own is read-only
+            place = np.einsum("ii->i", s[:, places])
+            row, column = np.einsum("iij->ij", P[:, places]), np.einsum("iji->ij", P[:, :, places])
+        speeds = (P[:, MOTION], P[:, :, MOTION])
+        return Motion(place, s[:, MOTION], (row, speeds[0]), (column, speeds[1]), self.F_rates[filters, 2, MOTION])
+
+    def _move(self, motion: Motion) -> None:
         """Let surfaces go on as they move by themselves."""
-        s, P, dt = self.s, self.P, self.dt
-        s[rows, places] += dt * s[rows, MOTION]
-        P[rows, places] += dt * P[rows, MOTION]
-        P[rows, :, places] += dt * P[rows, :, MOTION]
+        for place, speed in ((motion.place, motion.speed), motion.rows, motion.columns):
+            np.add(place, self.dt * speed, out=place)
 
     def update(self, w: np.ndarray | list[float]) -> bool:
         """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""
