@@ -55,8 +55,7 @@ class RateFilters:
     """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt (A phi + B known), w measured with independent noise.
 
     ``s`` (M, 11) and ``P`` (M, 11, 11) are changed in place. After :meth:`update`, lists of M have for each filter:
-    ``surprise`` the squared innovations of p, q, r over their own variances, ``nis`` the normalised innovation squared
-    (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
+    ``nis`` the normalised innovation squared (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
     """
 
     BEYOND = 1e3
@@ -116,7 +115,6 @@ class RateFilters:
         """Begin a flight: nothing has been measured, and so nothing surprised."""
         size = len(self.s)
         self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
-        self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
 
     def linearise(self, x: list[float], washed: float, u: np.ndarray, known: np.ndarray | None = None) -> None:
         """Set F and what steps without the state.
@@ -189,7 +187,7 @@ class RateFilters:
         np.subtract(w, self._w, out=self._innovation)
         np.copyto(self._S, self._P_rates)
         np.add(self._S_diagonal, self.r, out=self._S_diagonal)
-        inverses = []
+        inverses, nis, log_likelihood = [], self.nis, self.log_likelihood
         # Three by three and symmetric: by cofactors this is quicker than a library's general inverse.
         for i, (S, (p, q, r)) in enumerate(zip(self._S_flat.tolist(), self._innovation.tolist(), strict=True)):
             a, b, c, _, d, e, _, _, f = S
@@ -200,10 +198,8 @@ class RateFilters:
             each = 1.0 / determinant
             A, B, C, D, E, G = A * each, B * each, C * each, D * each, E * each, G * each
             inverses.append((A, B, C, B, D, E, C, E, G))
-            nis = A * p * p + D * q * q + G * r * r + 2.0 * (B * p * q + C * p * r + E * q * r)
-            self.nis[i] = nis
-            self.log_likelihood[i] = -0.5 * (nis + math.log(determinant))
-            self.surprise[i] = p * p / a, q * q / d, r * r / f
+            nis[i] = squared = A * p * p + D * q * q + G * r * r + 2.0 * (B * p * q + C * p * r + E * q * r)
+            log_likelihood[i] = -0.5 * (squared + math.log(determinant))
         self._inverse_flat[:] = inverses
         np.matmul(self._P_columns, self._inverse, out=self._columns)
         np.matmul(self._columns, self._innovation_column, out=self._correction)
@@ -213,3 +209,9 @@ class RateFilters:
         np.add(self.P, self._P_transposed, out=self._product)  # rounding must not make it lean
         np.multiply(self._product, 0.5, out=self.P)
         return True
+
+    def surprise(self, i: int) -> tuple[float, float, float]:
+        """Return the squared innovations of p, q, r over their own variances, in a filter's last update."""
+        a, d, f = self._S_diagonal[i].tolist()
+        p, q, r = self._innovation[i].tolist()
+        return p * p / a, q * q / d, r * r / f

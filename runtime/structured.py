@@ -347,7 +347,7 @@ class Effectiveness:
         alarm.compare(f.log_likelihood[agile:], known)
         lead = max(alarm.leads)
         explains = agile + alarm.leads.index(lead) if lead > evidence.behind[believed] else evidence.best
-        surprise = f.surprise[explains]
+        surprise = f.surprise(explains)
         if self.stuck.any:
             p, q, r = (1.0 if blind else each for blind, each in zip(self.stuck.blind, surprise, strict=True))
             surprise = p, q, r
