@@ -216,9 +216,10 @@ class Loop:
         return sample.flight != self.last.flight or sample.time_usec < self.last.time_usec
 
     def miss(self) -> None:
-        """No state came in time: send what the last gate has for that."""
-        command, _ = self.guard.fallback()
-        self.link.write(command, self.last.time_usec)
+        """No state came in time: send what the last gate has for that, once there was a good command."""
+        if self.guard.has_command:
+            command, _ = self.guard.fallback()
+            self.link.write(command, self.last.time_usec)
         self.report(self.last, Health.STATE_MISSING)
 
     def account(self, sample: Sample, answer: Answer) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from runtime.clock import SteppedClock
 from runtime.identification import IncrementalModel
 from runtime.link import Sample
 from runtime.loop import Outcome
@@ -332,6 +333,24 @@ def test_a_flight_that_begins_with_garbage_has_a_reference_for_all_that(cast, pl
     assert second.summary.health["state_not_finite"] == 3
     assert "action_not_finite" not in second.summary.health
     assert np.ptp(link.commands[1], axis=0).max() > 0.0
+
+
+def test_before_the_first_good_command_there_is_none_in_real_time_either(cast, plant_link, tmp_path, monkeypatch):
+    """Zero deflection is no command to send only because a flight began with garbage, and then nothing came."""
+    asked = []
+
+    def blind(tick, x):
+        asked.append(tick)
+        return x * np.nan if len(asked) == 301 else x
+
+    link = TwoFlights(lambda ticks: plant_link(ticks, state=blind), 2)
+    silent, read = iter([False] * 301 + [True] * 5), link.read
+    link.read = lambda timeout: None if next(silent, False) else read(timeout)
+    monkeypatch.setattr(SteppedClock, "overdue", lambda clock: True)
+    _, second = fly(link, cast, tmp_path / "f.ulg")
+    assert second.summary.health["state_missing"] == 5
+    assert len(link.commands[1]) == 200
+    assert np.abs(link.commands[1]).max(axis=1).min() > 0.0
 
 
 def test_a_summary_counts_its_own_flight_alone(cast, plant_link, tmp_path):
