@@ -49,6 +49,8 @@ class Uncommanded:
         """The part of d that lasts, and what d is beyond it [UNIT]."""
         self._rows = first + SURFACES
         own = filters.motion(slice(first, first + N_ACTION), LAMBDA)
+        self._place, self._speed = own.place, own.speed
+        """d and d' (3,), in the filters [UNIT]."""
         followers = slice(agile, agile + N_ACTION)
         self._moving: dict[int | None, tuple[Motion, ...]] = {None: (own,)}
         """What moves by itself, by the surface that is believed to."""
@@ -57,7 +59,7 @@ class Uncommanded:
 
     def learn(self) -> None:
         """Take what the filters have made of the measurement."""
-        np.subtract(self._filters.s[self._rows, PLACES], self._mean, out=self._away)
+        np.subtract(self._place, self._mean, out=self._away)
         self._mean += self._gain * self._away
 
     def hear(self, told: list[float], believed: int | None, levels: list[float] | None) -> None:
@@ -77,7 +79,7 @@ class Uncommanded:
     def rest(self, effectiveness: np.ndarray) -> None:
         """Take lambda (3,) to hold from now on, and no surface to move by itself."""
         self.effectiveness[:] = effectiveness
-        self._filters.s[self._rows, PLACES] = self._filters.s[self._rows, MOTION] = 0.0
+        self._place[:] = self._speed[:] = 0.0
         self._mean[:] = self._away[:] = 0.0
 
     def open(self, effectiveness: np.ndarray) -> None:
