@@ -289,6 +289,8 @@ class Adaptation(Settings, frozen=True, kw_only=True):
             raise ValueError(f"prior = {self.prior!r} needs model = 'reduced'; set prior = 'none'")
         if self.prior == "scheduled" and self.identify:
             raise ValueError("prior = 'scheduled' needs identify = false; to learn Theta set prior = 'population'")
+        if self.prior == "none" and not self.identify and self.switch != "none":
+            raise ValueError("prior = 'none' with identify = false imagines nothing; set identify = true")
         if self.effectiveness == "structured" and self.model == "full":
             raise ValueError("effectiveness = 'structured' needs model = 'reduced'")
 

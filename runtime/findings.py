@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from runtime.advice import JAMMED
 from runtime.hypotheses import STRAIGHT, Hypothesis
 from runtime.ranges import HIGH, LOW, Range
 from runtime.structured import Effectiveness
@@ -13,8 +14,6 @@ from task.state import N_ACTION
 SURFACES = "elevator", "aileron", "rudder"
 DEAD = 0.1
 """A surface with less lambda than this, either way, does nothing [-]."""
-POINT = 0.01
-"""A range less wide than this is a jam [rad]."""
 
 
 def describe(choice: Hypothesis, dt: float) -> str:
@@ -39,7 +38,7 @@ def describe_range(surface: int, found: Range) -> str:
     low, high = (math.degrees(end) for end in found.ends)
     name = SURFACES[surface]
     if found.known[LOW] and found.known[HIGH]:
-        if math.radians(high - low) < POINT:
+        if math.radians(high - low) < JAMMED:
             return f"{name} stands still at {0.5 * (low + high):.1f} deg"
         return f"{name} stops at {low:.1f} and {high:.1f} deg"
     if found.limited:

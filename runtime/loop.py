@@ -120,7 +120,6 @@ class Loop:
         """Set the times that the flight is counted from."""
         self.first = self.last = first
         self._zero_usec = 0 if self.operation.reference_from == "zero" else first.time_usec
-        self.reference.start(first.x)
         self.clock.arrived()
         t = 1e-6 * (first.time_usec - self._zero_usec)
         if isinstance(self.reference, RecordedReference) and 0.0 < self.reference.duration < t:
@@ -145,12 +144,19 @@ class Loop:
         self.link.write(answer.command, sample.time_usec)
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
         self.clock.arrived()
+        failed = False
         try:
             self.model.command(answer.command)
             self.policy.sent(answer.command)
-            self.account(sample, answer)
         except Exception as error:
             self.recover(sample, error)
+            failed = True
+        try:
+            self.account(sample, answer)
+        except Exception as error:  # what cannot be recorded was learnt all the same
+            self.confess(sample, error)
+            failed = True
+        if failed:
             self.health_counts[NAMES[Health.DEFECT]] += 1
         self.cycles += 1
         self.last = sample
@@ -159,22 +165,20 @@ class Loop:
     def answer(self, sample: Sample) -> Answer:
         """Return what to send for a state that has come."""
         x, t = sample.x, 1e-6 * (sample.time_usec - self._zero_usec)
-        reference, health = self.reference.at(t), self.check(sample)
-        if health & DOUBTFUL:
-            foretold = None if self._lost_track else self.model.coast()
-            if foretold is not None:
-                self.cast.step()
-                command, why = self.guard.command(self.policy.steer(foretold, reference))
-                return Answer(command, reference, health | why | Health.COASTING)
-            self._lost_track = self._lost_track or self.model.coasting
-        else:
-            self._lost_track = False
-        if self.model.coasting:
-            self.restart_histories(missed=0)
+        health = self.check(sample)
+        foretold = self.stand_in(health)
+        if foretold is not None:
+            reference = self.reference.at(t)
+            self.cast.step()
+            command, why = self.guard.command(self.policy.steer(foretold, reference))
+            return Answer(command, reference, health | why | Health.COASTING)
         if health & UNUSABLE:
             self.restart_histories(missed=0)
             command, why = self.guard.fallback()
-            return Answer(command, reference, health | why)
+            return Answer(command, self.reference.at(t), health | why)
+        if not self.guard.has_command:  # the flight begins here: its first states may have been garbage
+            self.reference.start(x)
+        reference = self.reference.at(t)
         self.model.observe(x)
         played = self.plays.step(self.tick(sample), t)
         if played is not None:
@@ -184,15 +188,35 @@ class Loop:
         command, why = self.guard.command(self.excitation.add(action))
         return Answer(command, reference, health | why, played)
 
+    def stand_in(self, health: int) -> np.ndarray | None:
+        """Return what the model foretells (10,) where a state cannot be relied upon, as long as it can; or None.
+
+        Once it no longer can, states are taken as they come until one follows the last.
+        """
+        if not health & DOUBTFUL:
+            self._lost_track = False
+        elif not self._lost_track:
+            foretold = self.model.coast()
+            if foretold is not None:
+                return foretold
+            self._lost_track = self.model.coasting
+        if self.model.coasting:
+            self.restart_histories(missed=0)
+        return None
+
     def recover(self, sample: Sample, error: Exception) -> Answer:
         """Go on after a defect of the runtime: say it, forget what was learnt, hold the last good command."""
-        if not self.health_counts[NAMES[Health.DEFECT]]:
-            with suppress(Exception):  # it may be what failed
-                self.say(sample, Severity.CRITICAL, f"the runtime failed: {type(error).__name__}: {error}")
+        self.confess(sample, error)
         self.model.reset()
         self.policy.restart_history()
         command, why = self.guard.fallback()
         return Answer(command, np.zeros(N_REFERENCE), why | Health.DEFECT)
+
+    def confess(self, sample: Sample, error: Exception) -> None:
+        """Say the flight's first defect of the runtime."""
+        if not self.health_counts[NAMES[Health.DEFECT]]:
+            with suppress(Exception):  # it may be what failed
+                self.say(sample, Severity.CRITICAL, f"the runtime failed: {type(error).__name__}: {error}")
 
     def tick(self, sample: Sample) -> int:
         """Return how many samples after the first one this is."""
@@ -220,9 +244,10 @@ class Loop:
         return sample.flight != self.last.flight or sample.time_usec < self.last.time_usec
 
     def miss(self) -> None:
-        """No state came in time: send what the last gate has for that."""
-        command, _ = self.guard.fallback()
-        self.link.write(command, self.last.time_usec)
+        """No state came in time: send what the last gate has for that, once there was a good command."""
+        if self.guard.has_command:
+            command, _ = self.guard.fallback()
+            self.link.write(command, self.last.time_usec)
         self.report(self.last, Health.STATE_MISSING)
 
     def account(self, sample: Sample, answer: Answer) -> None:

@@ -102,7 +102,7 @@ class Plays:
             self._alarm_at, self._watch_until = tick, tick + self._settle + self._watch
             self._next = tick + self._settle
         if tick >= self._next and self._model.ready and self._model.rls.updates >= self._least_updates:
-            if self._asked_at > self._alarm_at:
+            if self._asked_at >= max(self._alarm_at, 0):
                 self.skipped += 1
             else:
                 self._imagination.request(self._snapshot(t), tick)
@@ -138,7 +138,7 @@ class Plays:
         self.seconds.append(prediction.seconds)
         age = (tick - asked) * self._dt
         since_switch = (tick - self._switched_at) * self._dt
-        overtaken = asked <= self._alarm_at
+        overtaken = asked < self._alarm_at
         settings = self._settings
         worth = self._worth(prediction)
         returns = self._forecast.take(worth, asked * self._dt, self._belief, settings.forecast_time)

@@ -9,6 +9,7 @@ eleven states, what costs is the number of array operations, not their size.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,12 +36,26 @@ MOTION = N - 1
 """Where a filter in which a surface moves by itself has how fast that is, instead of the second slope."""
 
 
+class Motion(NamedTuple):
+    """Where K filters have how far a surface has moved by itself, and how fast it does: views of their s and P."""
+
+    place: np.ndarray
+    """Of s (K,): in the place of that surface's lambda."""
+    speed: np.ndarray
+    """Of s (K,): in the place of :data:`MOTION`."""
+    rows: tuple[np.ndarray, np.ndarray]
+    """Of P, the rows (K, 11) of place and speed."""
+    columns: tuple[np.ndarray, np.ndarray]
+    """Of P, the columns (K, 11) of place and speed."""
+    slope: np.ndarray
+    """Of F_rates (K,): what the speed does to r, where other filters have a slope."""
+
+
 class RateFilters:
     """M Kalman filters, s = [w; lambda; b; slopes], s+ = F s + dt (A phi + B known), w measured with independent noise.
 
     ``s`` (M, 11) and ``P`` (M, 11, 11) are changed in place. After :meth:`update`, lists of M have for each filter:
-    ``surprise`` the squared innovations of p, q, r over their own variances, ``nis`` the normalised innovation squared
-    (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
+    ``nis`` the normalised innovation squared (mean 3) and ``log_likelihood`` that of the measurement, less a constant.
     """
 
     BEYOND = 1e3
@@ -56,12 +71,11 @@ class RateFilters:
         self.q_gust = 0.0
         """Variance of the sideslip that the air adds at each prediction, and no sensor sees [rad2]: by what it does the
         bias drifts besides."""
-        self.moving: tuple[np.ndarray, np.ndarray] | None = None
-        """Filters in which a surface moves by itself, and the place of lambda in each that goes on so."""
+        self.moving: tuple[Motion, ...] = ()
+        """Of filters in which a surface moves by itself, by :meth:`motion`."""
         self.r = np.zeros(RATES)
         """Variance of each measured rate (3,) [rad2/s2]."""
-        self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
-        self.surprise: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)] * size
+        self.forget()
         self.drift_step = np.zeros(RATES)
         """dt A phi of the last prediction (3,) [rad/s]."""
         self.known_step = np.zeros((size, RATES))
@@ -97,6 +111,11 @@ class RateFilters:
         self._inverse = np.zeros((size, RATES, RATES))
         self._inverse_flat = self._inverse.reshape(size, RATES * RATES)
 
+    def forget(self) -> None:
+        """Begin a flight: nothing has been measured, and so nothing surprised."""
+        size = len(self.s)
+        self.nis, self.log_likelihood = [0.0] * size, [0.0] * size
+
     def linearise(self, x: list[float], washed: float, u: np.ndarray, known: np.ndarray | None = None) -> None:
         """Set F and what steps without the state.
 
@@ -117,8 +136,8 @@ class RateFilters:
             np.multiply(self.q_gust * self._sideslip[:, None], self._sideslip, out=self._gust)
         self.F_rates[:, 1, SLOPES.start] = self.dt * (alpha - ALPHA_MID)
         self.F_rates[:, 2, SLOPES.start + 1] = self.dt * beta
-        if self.moving is not None:
-            self.F_rates[self.moving[0], 2, MOTION] = 0.0
+        for motion in self.moving:
+            motion.slope[:] = 0.0
         if known is not None:
             np.matmul(known, self._effects_transposed, out=self.known_step)
 
@@ -141,25 +160,34 @@ class RateFilters:
         np.copyto(self._P_rows, self._rows)
         np.matmul(self.P, self._F_transposed, out=self._columns)
         np.copyto(self._P_columns, self._columns)
-        if self.moving is not None:
-            self._move(*self.moving)
+        for motion in self.moving:
+            self._move(motion)
         np.add(self.variances, self.q, out=self.variances)
         if self.q_gust:
             np.add(self._P_bias, self._gust, out=self._P_bias)
 
-    def _move(self, rows: np.ndarray, places: np.ndarray) -> None:
+    def motion(self, filters: slice, places: slice | int) -> Motion:
+        """Return where filters have a surface's motion: each in a place of its own, or all in one."""
+        s, P = self.s[filters], self.P[filters]
+        if isinstance(places, int):
+            place, row, column = s[:, places], P[:, places], P[:, :, places]
+        else:  # the diagonals over filters and places; numpy's own is read-only
+            place = np.einsum("ii->i", s[:, places])
+            row, column = np.einsum("iij->ij", P[:, places]), np.einsum("iji->ij", P[:, :, places])
+        speeds = (P[:, MOTION], P[:, :, MOTION])
+        return Motion(place, s[:, MOTION], (row, speeds[0]), (column, speeds[1]), self.F_rates[filters, 2, MOTION])
+
+    def _move(self, motion: Motion) -> None:
         """Let surfaces go on as they move by themselves."""
-        s, P, dt = self.s, self.P, self.dt
-        s[rows, places] += dt * s[rows, MOTION]
-        P[rows, places] += dt * P[rows, MOTION]
-        P[rows, :, places] += dt * P[rows, :, MOTION]
+        for place, speed in ((motion.place, motion.speed), motion.rows, motion.columns):
+            np.add(place, self.dt * speed, out=place)
 
     def update(self, w: np.ndarray | list[float]) -> bool:
         """Learn from measured rates w (3,) [rad/s]; False, and nothing learnt, when a filter is beyond all numbers."""
         np.subtract(w, self._w, out=self._innovation)
         np.copyto(self._S, self._P_rates)
         np.add(self._S_diagonal, self.r, out=self._S_diagonal)
-        inverses = []
+        inverses, nis, log_likelihood = [], self.nis, self.log_likelihood
         # Three by three and symmetric: by cofactors this is quicker than a library's general inverse.
         for i, (S, (p, q, r)) in enumerate(zip(self._S_flat.tolist(), self._innovation.tolist(), strict=True)):
             a, b, c, _, d, e, _, _, f = S
@@ -170,10 +198,8 @@ class RateFilters:
             each = 1.0 / determinant
             A, B, C, D, E, G = A * each, B * each, C * each, D * each, E * each, G * each
             inverses.append((A, B, C, B, D, E, C, E, G))
-            nis = A * p * p + D * q * q + G * r * r + 2.0 * (B * p * q + C * p * r + E * q * r)
-            self.nis[i] = nis
-            self.log_likelihood[i] = -0.5 * (nis + math.log(determinant))
-            self.surprise[i] = p * p / a, q * q / d, r * r / f
+            nis[i] = squared = A * p * p + D * q * q + G * r * r + 2.0 * (B * p * q + C * p * r + E * q * r)
+            log_likelihood[i] = -0.5 * (squared + math.log(determinant))
         self._inverse_flat[:] = inverses
         np.matmul(self._P_columns, self._inverse, out=self._columns)
         np.matmul(self._columns, self._innovation_column, out=self._correction)
@@ -183,3 +209,9 @@ class RateFilters:
         np.add(self.P, self._P_transposed, out=self._product)  # rounding must not make it lean
         np.multiply(self._product, 0.5, out=self.P)
         return True
+
+    def surprise(self, i: int) -> tuple[float, float, float]:
+        """Return the squared innovations of p, q, r over their own variances, in a filter's last update."""
+        a, d, f = self._S_diagonal[i].tolist()
+        p, q, r = self._innovation[i].tolist()
+        return p * p / a, q * q / d, r * r / f

@@ -85,6 +85,41 @@ class Summary(msgspec.Struct, kw_only=True):
     log_error: str = ""
 
 
+CYCLE = [
+    *(("float", signal.name) for table in (STATE, ACTION) for signal in table),
+    *(("float", f"{signal.name}_ref") for signal in REFERENCE),
+    ("float", "blend"),
+    ("uint32_t", "tick"),
+    ("int16_t", "member"),
+    ("uint16_t", "health"),
+]
+"""Fields of the topic, type and name; what they mean is in docs/operations.md."""
+PLAY = [
+    ("float", "lead"),
+    ("float", "age"),
+    ("uint32_t", "tick_asked"),
+    ("int16_t", "member"),
+    ("uint8_t", "action"),
+    ("uint8_t", "reason"),
+]
+"""The same, after the returns."""
+EFFECTIVENESS = [
+    *(("float", f"{kind}_{surface.name}") for kind in ("lambda", "sd") for surface in ACTION),
+    *(("float", f"bias_{rate}") for rate in "pqr"),
+    *(("float", f"{end}_{surface.name}") for end in ("low", "high") for surface in ACTION),
+    ("float", "noise"),
+    ("float", "unrest"),
+    ("float", "surprise"),
+    ("uint32_t", "alarms"),
+    ("uint16_t", "delay"),
+    ("uint8_t", "hypothesis"),
+    ("float", "confidence"),
+    ("uint8_t", "stuck"),
+    ("uint8_t", "excited"),
+    ("float", "alpha_highest"),
+]
+"""The same; docs/adaptation.md says what they mean."""
+
 BESIDE = ("config", "summary")
 """What accompanies a log."""
 
@@ -123,61 +158,14 @@ class Recorder:
     ) -> None:
         self.path = path
         self._log = ULog(path, threaded)
-        structured = configuration.adaptation.effectiveness == "structured"
-        self._log.info("sys_name", "Understudy")
-        self._log.info("population", population)
-        self._log.info("members", msgspec.json.encode(members).decode())  # a list: names may hold commas
-        if structured:  # what the field ``hypothesis`` counts
-            choices = hypotheses(configuration.adaptation, configuration.operation.dt)
-            names = [describe(choice, configuration.operation.dt) for choice in choices]
-            self._log.info("hypotheses", msgspec.json.encode(names).decode())
-        for key, text in information.items():
-            self._log.info(key, text)
-        self._parameters(msgspec.to_builtins(configuration))
-        signals = [signal.name for table in (STATE, ACTION) for signal in table]
-        references = [f"{signal.name}_ref" for signal in REFERENCE]
-        self._cycle = self._log.topic(
-            "cycle",
-            [
-                *(("float", name) for name in (*signals, *references, "blend")),
-                ("uint32_t", "tick"),
-                ("int16_t", "member"),
-                ("uint16_t", "health"),
-            ],
-        )
-        self._innovation = self._log.topic(
+        self._head(configuration, population, members, information)
+        log, structured = self._log, configuration.adaptation.effectiveness == "structured"
+        self._cycle = log.topic("cycle", CYCLE)
+        self._innovation = log.topic(
             "innovation", [("double", "trace_P"), *(("float", signal.name) for signal in outputs)]
         )
-        self._play = self._log.topic(
-            "play",
-            [
-                (f"float[{len(members) + 1}]", "returns"),
-                ("float", "lead"),
-                ("float", "age"),
-                ("uint32_t", "tick_asked"),
-                ("int16_t", "member"),
-                ("uint8_t", "action"),
-                ("uint8_t", "reason"),
-            ],
-        )
-        self._effectiveness = self._log.topic(
-            "effectiveness",
-            [
-                *(("float", f"{kind}_{surface.name}") for kind in ("lambda", "sd") for surface in ACTION),
-                *(("float", f"bias_{rate}") for rate in "pqr"),
-                *(("float", f"{end}_{surface.name}") for end in ("low", "high") for surface in ACTION),
-                ("float", "noise"),
-                ("float", "unrest"),
-                ("float", "surprise"),
-                ("uint32_t", "alarms"),
-                ("uint16_t", "delay"),
-                ("uint8_t", "hypothesis"),
-                ("float", "confidence"),
-                ("uint8_t", "stuck"),
-                ("uint8_t", "excited"),
-                ("float", "alpha_highest"),
-            ],
-        ) if structured else None  # fmt: skip
+        self._play = log.topic("play", [(f"float[{len(members) + 1}]", "returns"), *PLAY])
+        self._effectiveness = log.topic("effectiveness", EFFECTIVENESS) if structured else None
         self._log.begin()
         self.lost: list[str] = []
         """What of the record could not be written, and why, a line each."""
@@ -185,6 +173,21 @@ class Recorder:
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
         self._write_beside("config", configuration)
+
+    def _head(
+        self, configuration: Configuration, population: str, members: list[str], information: dict[str, str]
+    ) -> None:
+        """Write who flies and how, before the topics."""
+        log, adaptation, dt = self._log, configuration.adaptation, configuration.operation.dt
+        log.info("sys_name", "Understudy")
+        log.info("population", population)
+        log.info("members", msgspec.json.encode(members).decode())  # a list: names may hold commas
+        if adaptation.effectiveness == "structured":  # what the field ``hypothesis`` counts
+            names = [describe(choice, dt) for choice in hypotheses(adaptation, dt)]
+            log.info("hypotheses", msgspec.json.encode(names).decode())
+        for key, text in information.items():
+            log.info(key, text)
+        self._parameters(msgspec.to_builtins(configuration))
 
     def _write_beside(self, what: str, value: object) -> None:
         """Write a file that accompanies the log; one that the disk does not take whole is no file.

@@ -128,6 +128,8 @@ class Session:
             None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
         )
         self._real_time: list[str] = []
+        self._told = 0, 0
+        """States skipped and repeated, as the link counts them, that summaries have told of."""
         self._rehearse()
 
     def __enter__(self) -> Session:
@@ -234,7 +236,8 @@ class Session:
     def _summarise(
         self, loop: Loop, plays: Plays | NoPlays, clock: Clock, outcome: Outcome, wall_seconds: float
     ) -> Summary:
-        rls = self._model.rls
+        rls, link = self._model.rls, self._link
+        (skipped_before, repeated_before), self._told = self._told, (link.skipped, link.repeated)
         return Summary(
             outcome=str(outcome),
             seconds=round(1e-6 * (loop.last.time_usec - loop.first.time_usec), 6),
@@ -242,8 +245,8 @@ class Session:
             cycles=loop.cycles,
             overruns=loop.overruns,
             missed=clock.missed,
-            skipped=self._link.skipped,
-            repeated=self._link.repeated,
+            skipped=link.skipped - skipped_before,
+            repeated=link.repeated - repeated_before,
             gaps=loop.gaps,
             plays=plays.asked,
             plays_skipped=plays.skipped,

@@ -79,6 +79,7 @@ class Effectiveness:
 
     def reset(self) -> None:
         """Start a new flight: a healthy aircraft, nothing counted."""
+        self.filter.forget()
         self._reopening.reset()
         self.evidence.reset()
         self.unrest.reset()
@@ -346,7 +347,7 @@ class Effectiveness:
         alarm.compare(f.log_likelihood[agile:], known)
         lead = max(alarm.leads)
         explains = agile + alarm.leads.index(lead) if lead > evidence.behind[believed] else evidence.best
-        surprise = f.surprise[explains]
+        surprise = f.surprise(explains)
         if self.stuck.any:
             p, q, r = (1.0 if blind else each for blind, each in zip(self.stuck.blind, surprise, strict=True))
             surprise = p, q, r
@@ -373,18 +374,17 @@ class Effectiveness:
     def _believe(self) -> None:
         """Move what is believed of lambda as far as the estimate asks for."""
         f, i = self.filter, self.evidence.believed
-        for surface, (found, variance) in enumerate(
-            zip(f.s[i, LAMBDA].tolist(), f.variances[i, LAMBDA].tolist(), strict=True)
+        limited, moving = self.limited, self.uncommanded
+        for surface, (before, found, variance) in enumerate(
+            zip(self.believed.tolist(), f.s[i, LAMBDA].tolist(), f.variances[i, LAMBDA].tolist(), strict=True)
         ):
-            if self.stuck.any and self.stuck.blind[AXIS[surface]]:
+            if surface == moving or (self.stuck.any and self.stuck.blind[AXIS[surface]]):
                 continue
-            if surface == self.uncommanded:
-                continue
-            if self.ranges and surface == self.limited:
+            if self.ranges and surface == limited:
                 self.believed[surface] = self.ranges.of[surface].effectiveness
                 continue
             margin = self.settings.belief_sd * math.sqrt(max(variance, 0.0))
-            moved = min(max(self.believed[surface], found - margin), found + margin)
+            moved = min(max(before, found - margin), found + margin)
             self.believed[surface] = 0.0 if abs(found) <= margin <= self.DEAD else moved
 
     def _judge(self, w: list[float]) -> None:

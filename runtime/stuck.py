@@ -33,7 +33,7 @@ class Stuck:
         self.reset()
 
     def reset(self) -> None:
-        """Start a new flight, or begin after a gap: nothing is stuck."""
+        """Start a new flight: nothing is stuck. Over a gap what is stuck stays so."""
         self._last: tuple[float, ...] = (float("nan"),) * len(SIGNALS)
         self._forget()
 

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from runtime.rate_filter import LAMBDA, MOTION, SLOPES, RateFilters
+from runtime.rate_filter import LAMBDA, MOTION, SLOPES, Motion, RateFilters
 from task.state import N_ACTION
 
 UNIT = 0.1
@@ -48,14 +48,18 @@ class Uncommanded:
         self._mean, self._away = np.zeros((2, N_ACTION))
         """The part of d that lasts, and what d is beyond it [UNIT]."""
         self._rows = first + SURFACES
-        followers = agile + SURFACES
-        rows = np.append(self._rows, followers)
-        self._moving = {int(i): (rows, np.append(PLACES, np.full(N_ACTION, PLACES[i]))) for i in SURFACES}
-        """Rows and places of what moves by itself, by the surface that is believed to."""
+        own = filters.motion(slice(first, first + N_ACTION), LAMBDA)
+        self._place, self._speed = own.place, own.speed
+        """d and d' (3,), in the filters [UNIT]."""
+        followers = slice(agile, agile + N_ACTION)
+        self._moving: dict[int | None, tuple[Motion, ...]] = {None: (own,)}
+        """What moves by itself, by the surface that is believed to."""
+        for surface, place in enumerate(PLACES.tolist()):
+            self._moving[surface] = own, filters.motion(followers, place)
 
     def learn(self) -> None:
         """Take what the filters have made of the measurement."""
-        np.subtract(self._filters.s[self._rows, PLACES], self._mean, out=self._away)
+        np.subtract(self._place, self._mean, out=self._away)
         self._mean += self._gain * self._away
 
     def hear(self, told: list[float], believed: int | None, levels: list[float] | None) -> None:
@@ -75,7 +79,7 @@ class Uncommanded:
     def rest(self, effectiveness: np.ndarray) -> None:
         """Take lambda (3,) to hold from now on, and no surface to move by itself."""
         self.effectiveness[:] = effectiveness
-        self._filters.s[self._rows, PLACES] = self._filters.s[self._rows, MOTION] = 0.0
+        self._place[:] = self._speed[:] = 0.0
         self._mean[:] = self._away[:] = 0.0
 
     def open(self, effectiveness: np.ndarray) -> None:
@@ -95,4 +99,4 @@ class Uncommanded:
         """
         coefficient[SURFACES, SURFACES] = UNIT * self.effectiveness
         known[SURFACES, SURFACES] = self.effectiveness * u
-        self._filters.moving = (self._rows, PLACES) if believed is None else self._moving[believed]
+        self._filters.moving = self._moving[believed]

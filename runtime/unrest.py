@@ -87,11 +87,6 @@ class Unrest:
         return [self.noise_variance + each for each in self._besides]
 
     @property
-    def noise_known(self) -> bool:
-        """Whether the samples for noise alone are over."""
-        return self.seen >= self.LEARNING
-
-    @property
     def ends_a_phase(self) -> bool:
         """Whether noise or turbulence are known from this sample on."""
         return self.seen in (self.LEARNING, 3 * self.LEARNING)

@@ -25,6 +25,12 @@ _Q, _R, _ALPHA, _BETA = 1, 2, 3, 4
 """Places of alpha and beta among the filtered signals; p, q, r come first, the commands last."""
 
 
+_ONE, _X, _DX, _ACTED, _ASKED, _RATE = (
+    N_MEMORY + part.start for part in (SEEN.one, SEEN.x, SEEN.dx, SEEN.acted, SEEN.reference, SEEN.rate)
+)
+"""Columns of the linear law's maps: where each part of what is seen begins."""
+
+
 class INDIGains(Settings, frozen=True, kw_only=True):
     """Gains of the two outer loops, and the filter of the inner one."""
 
@@ -327,8 +333,7 @@ class INDI(Law):
     def linear(self) -> LinearLaw:
         """Return the law with its filters as memory; highest angle of attack and rolling by sideslip are not seen.
 
-        A rudder or an aileron that is at its end now is imagined to stay there: the others then do without it, as in
-        flight. Limits that are reached later make nobody else do more.
+        A surface that is at its end now stays there; limits that are reached later make nobody else do more.
 
         Of the two filtered signals, B^-1 omega_dot - u of each surface and beta_dot + r cos alpha, the memory holds the
         low-pass's two states. Bank and pitch rates, of which the law forms its errors, are those of the attitude:
@@ -337,15 +342,9 @@ class INDI(Law):
         maps, memory = np.zeros((N_ACTION + N_MEMORY, N_MEMORY + N_SEEN)), np.zeros(N_MEMORY)
         order, rows = list(self._order), np.arange(3)
         if self._samples == 0:  # the filters start again: until then the last command goes on
-            maps[rows, N_MEMORY + SEEN.one.start] = self._commands[-1]
+            maps[rows, _ONE] = self._commands[-1]
             return LinearLaw(maps, memory)
-        multipliers = np.array(self._multipliers)
-        inverse = np.array(self._inverse)
-        if self._ends(ACTION.dr):
-            inverse[: ACTION.dr] = self._without_rudder
-        if self._ends(ACTION.da):
-            inverse[ACTION.dr] = 0.0, 0.0, 1.0 / self._airframe.effectiveness[2][ACTION.dr]
-        inverse /= self._ratio * multipliers[:, None]
+        inverse = self._inverse_as_imagined()
         first = (self._filter.first - self._before_first) / self._dt
         second = (self._filter.second - self._before_second) / self._dt
         memory[:3] = inverse @ first[:3] - self._filter.first[MOTIONS:]
@@ -353,19 +352,7 @@ class INDI(Law):
         memory[6] = first[_BETA] + self._cos_alpha * self._filter.first[_R]
         memory[7] = second[_BETA] + self._cos_alpha * self._filter.second[_R]
 
-        one, x, dx = (N_MEMORY + part.start for part in (SEEN.one, SEEN.x, SEEN.dx))
-        acted, asked, rate = (N_MEMORY + part.start for part in (SEEN.acted, SEEN.reference, SEEN.rate))
-        start = self._start[MOTIONS:]
-        heard = np.zeros((4, N_MEMORY + N_SEEN))
-        """What is filtered: three surfaces, and the side force."""
-        heard[:3, dx + np.array([STATE.p, STATE.q, STATE.r])] = inverse / self._dt
-        heard[rows, acted + np.array(order)] = -1.0
-        heard[:3, one] = start
-        heard[3, [dx + STATE.beta, x + STATE.r, one]] = (
-            1.0 / self._dt,
-            self._cos_alpha,
-            -self._cos_alpha * self._start[_R],
-        )
+        heard = self._heard(inverse)
         remembered = np.eye(N_MEMORY, N_MEMORY + N_SEEN)
         was, older = remembered[[0, 1, 2, 6]], remembered[[3, 4, 5, 7]]
         b0, a1, a2 = self._filter.b0, self._filter.a1, self._filter.a2
@@ -373,21 +360,48 @@ class INDI(Law):
         maps[N_ACTION + np.array([0, 1, 2, 6])] = 2.0 * b0 * heard - a1 * passed + older
         maps[N_ACTION + np.array([3, 4, 5, 7])] = b0 * heard - a2 * passed
 
+        wanted = self._wanted(passed[3])
+        surfaces = inverse @ (np.array(self._pace.rate)[:, None] * wanted) - passed[:3]
+        surfaces[:, _ONE] += self._start[MOTIONS:]
+        maps[order] = surfaces
+        return LinearLaw(maps, memory)
+
+    def _inverse_as_imagined(self) -> np.ndarray:
+        """Return B^-1 (3, 3) as it is now: a rudder or an aileron at its end stays there, and the others do without."""
+        inverse = np.array(self._inverse)
+        if self._ends(ACTION.dr):
+            inverse[: ACTION.dr] = self._without_rudder
+        if self._ends(ACTION.da):
+            inverse[ACTION.dr] = 0.0, 0.0, 1.0 / self._airframe.effectiveness[2][ACTION.dr]
+        inverse /= self._ratio * np.array(self._multipliers)[:, None]
+        return inverse
+
+    def _heard(self, inverse: np.ndarray) -> np.ndarray:
+        """Return what is filtered (4, 38), of memory and what is seen: three surfaces, and the side force."""
+        heard = np.zeros((4, N_MEMORY + N_SEEN))
+        heard[:3, _DX + np.array([STATE.p, STATE.q, STATE.r])] = inverse / self._dt
+        heard[np.arange(3), _ACTED + np.array(self._order)] = -1.0
+        heard[:3, _ONE] = self._start[MOTIONS:]
+        heard[3, [_DX + STATE.beta, _X + STATE.r, _ONE]] = (
+            1.0 / self._dt,
+            self._cos_alpha,
+            -self._cos_alpha * self._start[_R],
+        )
+        return heard
+
+    def _wanted(self, side: np.ndarray) -> np.ndarray:
+        """Return the errors of p, q, r (3, 38), of memory and what is seen; side (38,): the filtered side force."""
         wanted = np.zeros((3, N_MEMORY + N_SEEN))
-        """Angular acceleration of p, q, r that is asked for."""
         k_theta, k_phi, k_beta = self._pace.attitude
         for row, state, column, k in (
             (0, STATE.phi, REFERENCE.phi, k_phi), (1, STATE.theta, REFERENCE.theta, k_theta),
         ):  # fmt: skip
-            wanted[row, [rate + column, asked + column, x + state, dx + state]] = 1.0, k, -k, -1.0 / self._dt
+            wanted[row, [_RATE + column, _ASKED + column, _X + state, _DX + state]] = 1.0, k, -k, -1.0 / self._dt
         wanted[1] /= self._cos_phi
-        wanted[2] = passed[3]
-        wanted[2, one] += self._cos_alpha * self._start[_R]
-        beta = [rate + REFERENCE.beta, asked + REFERENCE.beta, x + STATE.beta]
+        wanted[2] = side
+        wanted[2, _ONE] += self._cos_alpha * self._start[_R]
+        beta = [_RATE + REFERENCE.beta, _ASKED + REFERENCE.beta, _X + STATE.beta]
         wanted[2, beta] -= 1.0, k_beta, -k_beta
         wanted[2] /= self._cos_alpha
-        wanted[2, x + STATE.r] -= 1.0
-        surfaces = inverse @ (np.array(self._pace.rate)[:, None] * wanted) - passed[:3]
-        surfaces[:, one] += start
-        maps[order] = surfaces
-        return LinearLaw(maps, memory)
+        wanted[2, _X + STATE.r] -= 1.0
+        return wanted

@@ -56,6 +56,7 @@ def test_a_record_that_is_none_is_one_line(tmp_path):
         (("switch=sometimes",), "switch"),
         (("model=full",), "prior = 'population'"),
         (("prior=scheduled",), "prior = 'scheduled' needs identify = false"),
+        (("prior=none", "identify=false"), "prior = 'none' with identify = false imagines nothing"),
         (("horizon=-1",), "horizon"),
         (("horizon=1e9",), "horizon"),
         (("recall=1e9",), "recall"),

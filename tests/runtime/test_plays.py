@@ -175,6 +175,14 @@ def test_after_an_alarm_as_many_imaginations_must_agree_as_are_asked_for(populat
     assert asked[1:] == [asked[0] + settings.play_delay_ticks] * (needed - 1)  # the second is asked for at once
 
 
+@pytest.mark.parametrize("settle", [0.0, 0.08])
+def test_what_an_alarm_asks_for_decides_however_soon_it_is_asked(population, settle):
+    settings = msgspec.structs.replace(SETTINGS, settle=settle, watch=0.5)
+    played = {each.tick_asked: each.decision.reason for each in foretell(population, settings, [HARD], alarm_at=21)}
+    assert played.get(20, Reason.OVERTAKEN) is Reason.OVERTAKEN
+    assert played[21 + round(settle / DT)] is Reason.BETTER
+
+
 def test_an_alarm_does_not_hasten_what_chance_says(population):
     settings = msgspec.structs.replace(SETTINGS, confirmations=2, confirmations_watch=2, watch=0.5)
     played = foretell(population, settings, [HARD, QUIET, HARD, QUIET, QUIET], alarm_at=12)

@@ -10,7 +10,7 @@ from task.rates import SIDESLIP, dynamic_pressure, features
 from tests.runtime.rate_aircraft import MODEL, state
 
 
-@pytest.mark.parametrize(("q_gust", "moving"), [(0.0, {}), (1e-4, {}), (0.0, {1: 4, 3: 5})])
+@pytest.mark.parametrize(("q_gust", "moving"), [(0.0, {}), (1e-4, {}), (0.0, {0: 3, 1: 4, 3: 5})])
 def test_the_bank_is_filterpys_filters(q_gust, moving):
     """``moving``: the place that goes on as the last state says, by filter."""
     rng, size = np.random.default_rng(0), 4
@@ -18,7 +18,8 @@ def test_the_bank_is_filterpys_filters(q_gust, moving):
     drift[SIDESLIP] = rng.normal(size=(5, 3)) * 1e-3
     ours = RateFilters(MODEL._replace(drift=drift), size)
     ours.q_gust = q_gust
-    ours.moving = (np.array(list(moving)), np.array(list(moving.values()))) if moving else None
+    if moving:  # one filter alone, and two with a place each
+        ours.moving = ours.motion(slice(0, 1), moving[0]), ours.motion(slice(1, 4, 2), slice(moving[1], moving[3] + 1))
     ours.s[:] = rng.normal(size=(size, N)) * 0.1
     ours.variances[:] = rng.uniform(1e-4, 1.0, (size, N))
     ours.q[:], ours.r = rng.uniform(1e-8, 1e-4, (size, N)), 1e-7

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from runtime.clock import SteppedClock
 from runtime.identification import IncrementalModel
 from runtime.link import Sample
 from runtime.loop import Outcome
 from runtime.population import load_population
 from runtime.presets import resolve
+from runtime.recorder import Recorder
 from runtime.reference import LiveReference, RecordedReference
 from runtime.session import Session, free_log, log_path
 from sim_bridge.plant import Plant
@@ -299,6 +301,71 @@ def test_a_defect_of_the_runtime_leaves_the_aircraft_a_command(cast, plant_link,
     if where == "observe":
         np.testing.assert_array_equal(link.sent[300:305], [link.sent[299]] * 5)
     assert flown.summary.updates > 280  # counted from the defect on
+
+
+def test_what_cannot_be_recorded_is_learnt_all_the_same(cast, plant_link, tmp_path, monkeypatch):
+    link, lines, well = plant_link(600), [], Recorder.innovation
+
+    def fails(recorder, *given):
+        if 300 <= link.tick < 305:
+            raise OverflowError("too large")
+        well(recorder, *given)
+
+    monkeypatch.setattr(Recorder, "innovation", fails)
+    (flown,) = fly(link, cast, tmp_path / "f.ulg", say=lines.append)
+    assert flown.outcome is Outcome.OVER
+    assert flown.summary.health["defect"] == 5
+    assert len([line for line in lines if "the runtime failed: OverflowError: too large" in line]) == 1
+    assert flown.summary.updates == 600 - 3
+
+
+def test_a_flight_that_begins_with_garbage_has_a_reference_for_all_that(cast, plant_link, tmp_path):
+    """The first flight waits for a state that can be used; one that takes its place begins with whatever came."""
+    asked = []
+
+    def blind(tick, x):
+        asked.append(tick)
+        return x * np.nan if 301 <= len(asked) < 304 else x
+
+    link = TwoFlights(lambda ticks: plant_link(ticks, state=blind), 2)
+    first, second = fly(link, cast, tmp_path / "f.ulg", reference=LiveReference())
+    assert (first.summary.cycles, second.summary.cycles) == (300, 200)
+    assert second.summary.health["state_not_finite"] == 3
+    assert "action_not_finite" not in second.summary.health
+    assert np.ptp(link.commands[1], axis=0).max() > 0.0
+
+
+def test_before_the_first_good_command_there_is_none_in_real_time_either(cast, plant_link, tmp_path, monkeypatch):
+    """Zero deflection is no command to send only because a flight began with garbage, and then nothing came."""
+    asked = []
+
+    def blind(tick, x):
+        asked.append(tick)
+        return x * np.nan if len(asked) == 301 else x
+
+    link = TwoFlights(lambda ticks: plant_link(ticks, state=blind), 2)
+    silent, read = iter([False] * 301 + [True] * 5), link.read
+    link.read = lambda timeout: None if next(silent, False) else read(timeout)
+    monkeypatch.setattr(SteppedClock, "overdue", lambda clock: True)
+    _, second = fly(link, cast, tmp_path / "f.ulg")
+    assert second.summary.health["state_missing"] == 5
+    assert len(link.commands[1]) == 200
+    assert np.abs(link.commands[1]).max(axis=1).min() > 0.0
+
+
+def test_a_summary_counts_its_own_flight_alone(cast, plant_link, tmp_path):
+    link = TwoFlights(plant_link, 2)
+    link.skipped, link.repeated, read = 1, 2, link.read  # before the first state
+
+    def busy(timeout):
+        sample = read(timeout)
+        if sample is not None and sample.time_usec % 1_000_000 == 0:
+            link.skipped, link.repeated = link.skipped + 1, link.repeated + 3
+        return sample
+
+    link.read = busy
+    flown = fly(link, cast, tmp_path / "f.ulg")
+    assert [(each.summary.skipped, each.summary.repeated) for each in flown] == [(5, 14), (1, 3)]
 
 
 def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):

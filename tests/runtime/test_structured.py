@@ -34,6 +34,31 @@ def test_a_surface_that_changes_raises_one_alarm_and_is_known_within_a_second(no
     np.testing.assert_allclose(found.effectiveness[:2], effect[:2], atol=0.2)
 
 
+def what_is_logged(found, aircraft, samples):
+    """Return what is known of the surfaces at each sample, (samples, 20), from the first one on."""
+    rows = []
+    for _ in range(samples):
+        watch(found, aircraft, 1)
+        rows.append([
+            *found.effectiveness, *found.sd, *found.bias, *found.actuators[:2].ravel(), found.unrest.noise_variance,
+            max(found.unrest.levels), found.surprise, found.evidence.confidence, found.stuck.mask,
+        ])  # fmt: skip
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("preset", ["structured", "ensemble"])
+@pytest.mark.parametrize("ends", [20, 60, 200])
+def test_a_flight_knows_nothing_of_the_one_before(preset, ends):
+    found, before = Effectiveness(PRESETS[preset], MODEL, 1), Aircraft(noise=6.3e-4)
+    watch(found, before, 500)
+    before.effect, before.delay, before.stuck = np.array([-1.0, 1.0, 0.0]), 10, {0: None}
+    assert watch(found, before, ends)
+    found.reset()
+    alone = Effectiveness(PRESETS[preset], MODEL, 1)
+    told, fresh = (what_is_logged(each, Aircraft(1, 6.3e-4), 400) for each in (found, alone))
+    np.testing.assert_array_equal(told, fresh)
+
+
 def test_sensor_noise_is_found_and_raises_no_alarm():
     aircraft, found = Aircraft(seed=3, noise=1.3e-3), Effectiveness(SETTINGS, MODEL, 1)
     assert watch(found, aircraft, 6000) == []
