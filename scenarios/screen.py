@@ -17,8 +17,8 @@ from scenarios.run import Job, Result
 from scenarios.summary import Row, cells
 
 LEGEND = (
-    "nMAE: normalised tracking error, mean of θ, φ, β. Vs none: its change against no adaptation. Sm: smoothness of the "
-    "commands, nearer to 0 is smoother. Step: largest command step. All columns: see the report."
+    "nMAE: normalised tracking error, mean of θ, φ, β. Vs none: its change against no adaptation. Sm: smoothness of "
+    "the commands, nearer to 0 is smoother. Step: largest command step. All columns: see the report."
 )
 """What the columns of the table mean, in short; the report says it in full."""
 

@@ -99,7 +99,8 @@ def test_every_parameter_of_the_runtime_is_in_a_table():
 
 
 def test_the_defaults_of_the_other_keys_are_those_of_the_code():
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", section((ROOT / "docs/operations.md").read_text(), "Other keys"), re.M)
+    table = section((ROOT / "docs/operations.md").read_text(), "Other keys")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", table, re.MULTILINE)
     assert len(rows) > 10
     for key, default in rows:
         have = getattr(Adaptation() if key in Adaptation.__struct_fields__ else Operation(), key)
@@ -199,9 +200,8 @@ def test_the_fault_in_the_readme_is_read(tmp_path):
 
 
 def test_the_policy_of_ones_own_is_saved(tmp_path):
-    subprocess.run(
-        [sys.executable, "-c", script("save_run(")], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True
-    )
+    command, environment = [sys.executable, "-c", script("save_run(")], os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True)
     assert load_run(tmp_path / "runs/mine").parameters.shape == (2, 179)
 
 
