@@ -18,7 +18,7 @@ CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 help: ## Show this help
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  \033[1m%-12s\033[0m %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-	@echo "Variables: SCENARIO=$(SCENARIO) POPULATION=populations/NAME CONFIG=$(CONFIG) ARGS='extra arguments'"
+	@echo "Variables: SCENARIO=$(SCENARIO) POPULATION=NAME CONFIG=$(CONFIG) RUN=$(RUN) QUICK=1 ARGS='more options'"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -35,7 +35,7 @@ setup: $(VENV)/.sim ## Install what flies and the simulator (no torch)
 
 setup-dev: $(VENV)/.dev ## Install everything: training, export, tests
 
-fly: setup ## Fly SCENARIO in all modes over MAVLink; table and report (ARGS=--realtime for wall clock)
+fly: setup ## Fly SCENARIO in its modes over MAVLink; table and HTML report (ARGS=--realtime: wall clock)
 	$(BIN)/understudy fly $(SCENARIO) $(CAST) $(ARGS)
 
 scenarios: setup ## Fly every shipped scenario in its own modes, into results/ and docs/img/
@@ -44,7 +44,7 @@ scenarios: setup ## Fly every shipped scenario in its own modes, into results/ a
 campaign: setup-dev ## Faults x references x ways of adapting (QUICK=1: a few); resumes; into results/
 	$(BIN)/python -m scenarios.campaign $(if $(QUICK),--quick,--results results --figures docs/img) $(CAST) $(ARGS)
 
-test: setup-dev ## Run the tests, the linter, the type checker and the walls
+test: setup-dev ## Run the tests, the linter, the type checker and the import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -97,10 +97,10 @@ results: setup ## Render docs/results.md from results/*.json
 peers: setup-dev ## The classical laws on faults, noise and latency, into results/
 	$(BIN)/python -m bench.laws $(ARGS)
 
-decision: setup-dev ## What it is worth that the imagination carries the delay of the commands, into results/
+decision: setup-dev ## Late commands: state foretold, delay imagined or not looked for, into results/
 	$(BIN)/python -m bench.decision $(ARGS)
 
-robustness: setup-dev ## Gyros that become noisy, lost states, garbage: ours beside a PID and an INDI, into results/
+robustness: setup-dev ## Noisy gyros, lost states, garbage: the presets beside a PID and an INDI, into results/
 	$(BIN)/python -m bench.robustness $(ARGS)
 
 bench: setup-dev ## Cost of cycle, link and imagination beside their peers, as ratios; the models' errors

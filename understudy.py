@@ -17,7 +17,7 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
 COMMANDS = {
-    "fly": ("scenarios.cli:fly", "Fly a scripted scenario in several modes and report."),
+    "fly": ("scenarios.cli:fly", "Fly a scripted scenario in several modes; table and report."),
     "runtime": ("runtime.cli:main", "Fly any simulator or aircraft that speaks docs/interface.md."),
     "bridge": ("sim_bridge.cli:bridge", "Put the Citation behind MAVLink."),
     "aircraft": ("sim_bridge.aircraft.cli:aircraft", "Identify, build and validate the Citation."),
@@ -59,7 +59,10 @@ class LazyGroup(click.Group):
 @click.command(cls=LazyGroup)
 @click.version_option(package_name="understudy")
 def cli() -> None:
-    """Understudy: keep an aircraft flying well after it has suddenly changed."""
+    """Understudy: keep an aircraft flying well after it has suddenly changed.
+
+    A first flight: understudy fly crossed_controls. The campaign: python -m scenarios.campaign. More: README.md.
+    """
 
 
 @contextlib.contextmanager

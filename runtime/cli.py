@@ -101,7 +101,8 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
 @click.option("--law", type=click.Choice(LAWS), help="Fly this classical law instead of a population.")
 @click.option("--reference", "reference_path", type=Path,
               help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip
-@click.option("--preset", type=click.Choice(list(PRESETS)), help="Recipe of the adaptation.  [default: understudy]")
+@click.option("--preset", type=click.Choice(list(PRESETS)),
+              help="Parameters of the adaptation; ensemble for 'citation'.  [default: understudy]")  # fmt: skip
 @click.option("--switch", type=click.Choice(["none", "hard", "soft"]), help="How the cast changes.  [default: soft]")
 @click.option(
     "--config",
@@ -124,7 +125,10 @@ def main(
     log: Path,
     realtime: bool,
 ) -> None:
-    """Fly an aircraft that speaks docs/interface.md with the best of a population, or with a law."""
+    """Fly whatever speaks docs/interface.md with a population (a cast that adapts in flight) or with one law.
+
+    Options, keys of --set, log and exit codes: docs/operations.md.
+    """
     configuration = _configure(population, law, preset, config, overrides, switch, realtime)
     where = parse_address(address)
     cast = _load(population, law, configuration)

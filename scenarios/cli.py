@@ -20,7 +20,7 @@ from scenarios.processes import StoppedError
 from scenarios.references import build, with_count
 from scenarios.report import scores_by_mode, write_report
 from scenarios.run import Result, fly_all, plan
-from scenarios.screen import Board, print_table
+from scenarios.screen import LEGEND, Board, print_table
 from scenarios.summary import summarise
 from task.errors import UserError
 from task.files import find_population
@@ -37,7 +37,7 @@ def console() -> Console:
 
 def chosen_modes(text: str | None, default: Sequence[str]) -> list[schema.Mode]:
     """Return the modes of a comma-separated list, or the default ones. Raises UserError."""
-    names = [name.strip() for name in text.split(",")] if text else list(default)
+    names = list(default) if text is None else [name.strip() for name in text.split(",")]
     for name in names:
         if name not in schema.CHOICES:
             raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {', '.join(schema.CHOICES)}")
@@ -96,14 +96,14 @@ def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the scenarios.")
 @click.option("--modes", help="Comma-separated, of: " + ", ".join(schema.CHOICES) + ".  [default: the scenario's]")
 @click.option("--references", "count", type=click.IntRange(min=1, max=1000),
-              help="Fly this many random references instead of the scenario's.")  # fmt: skip
+              help="Fly this many random references in place of the scenario's.")  # fmt: skip
 @click.option("--population", help="Folder of the cast, or its name under populations/.  [default: the scenario's]")
 @click.option("--out", type=Path, help="Where flights and report go.  [default: flights/SCENARIO]")
 @click.option("--realtime", is_flag=True, help="100 Hz of wall clock; without it, lockstep.")
 @click.option("--jobs", type=click.IntRange(min=1, max=64),
               help="Flights side by side.  [default: 2; in real time 1]")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Fly everything again, also what was flown before from the same inputs.")
-@click.option("--picture", type=Path, help="Copy the picture of the modes side by side here, as for a README.")
+@click.option("--picture", type=Path, help="Also save the picture of the modes side by side (PNG) here.")
 def fly(
     scenario: str,
     modes: str | None,
@@ -115,7 +115,11 @@ def fly(
     fresh: bool,
     picture: Path | None,
 ) -> None:
-    """Fly SCENARIO, a file or a name from --list, over MAVLink in several modes; print a table, write a report."""
+    """Fly SCENARIO, a .toml file or a name from --list, over MAVLink; print a table and write an HTML report.
+
+    A mode is a way of flying it: no adaptation (none), a preset of the adaptation, or a classical law alone. All modes
+    fly the same references with the same faults, sensors and air. What was flown before is not flown again.
+    """
     began = time.monotonic()
     path = schema.find(scenario)
     script = schema.load_scenario(path)
@@ -135,6 +139,7 @@ def fly(
         click.echo(f"understudy: stopped; what was flown is kept in {where}", err=True)
         raise SystemExit(INTERRUPTED) from None
     print_table(screen, script.title, summarise(scores_by_mode(results)))
+    screen.print(f"[dim]{LEGEND}[/]", highlight=False)
     report = write_report(script, results, where)
     if picture is not None:
         copy(where / "figures" / "comparison.png", picture)

@@ -22,9 +22,11 @@ from sim_bridge.truth import write_whole
 EXPLANATION = (
     "nMAE: mean over θ, φ and β of the mean absolute tracking error, divided by 20°, 20° and the larger of 1° and "
     "the magnitude of the mean β error, signs kept (a β that swings about zero is divided by 1°, a constant one by "
-    "itself); of true states, until the aircraft was lost. Sm: smoothness of the commands (eq. 16), higher is "
-    "smoother. Step: largest change of a command from one sample to the next. Late: samples that were not answered in "
-    "time. Means are over the flights that were not lost."
+    "itself); of true states, until the aircraft was lost. Vs none: change of nMAE against mode none, which flies "
+    "without adaptation; negative is better. Before, after: nMAE before and after a sudden fault. Sm: smoothness of "
+    "the commands (eq. 16), higher (nearer to zero) is smoother. Step: largest change of a command from one sample to "
+    "the next. Switches: changes of who flies. Late: samples that were not answered in time. Lost: flights in which "
+    "the aircraft left the limits of attitude or altitude. Means are over the flights that were not lost."
 )
 
 

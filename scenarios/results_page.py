@@ -27,8 +27,8 @@ def write_page(folder: Path, out: Path) -> int:
 
 
 def page(results: dict[str, Result], head: str = HEAD) -> str:
-    """Return the page below ``head``; equal results give equal text."""
-    contents = "".join(f"- [{result.title}](#{name})\n" for name, result in results.items())
+    """Return the page below ``head``; equal results give equal text. Several files may have one title."""
+    contents = "".join(f"- [{result.title}](#{name}) (`{name}.json`)\n" for name, result in results.items())
     return "\n".join([head, contents, *(_section(name, result) for name, result in results.items())])
 
 

@@ -16,6 +16,12 @@ from scenarios.report import best_row
 from scenarios.run import Job, Result
 from scenarios.summary import Row, cells
 
+LEGEND = (
+    "nMAE: normalised tracking error, mean of θ, φ, β. Vs none: its change against no adaptation. Sm: smoothness of "
+    "the commands, nearer to 0 is smoother. Step: largest command step. All columns: see the report."
+)
+"""What the columns of the table mean, in short; the report says it in full."""
+
 
 class Board:
     """Bars for the flights under way and for all of them; plain lines where the output is no terminal."""

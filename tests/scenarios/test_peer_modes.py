@@ -28,3 +28,9 @@ def test_peers_are_flown_when_they_are_named_and_only_then(tmp_path):
 def test_an_unknown_mode_is_answered_with_the_peers_too():
     with pytest.raises(UserError, match=r"unknown mode 'lqr'; choose from none, .*, structured, ensemble, pid, indi"):
         chosen_modes("lqr", ())
+
+
+def test_no_mode_at_all_is_not_taken_for_the_scenarios_own():
+    assert [mode.name for mode in chosen_modes(None, ("none", "pid"))] == ["none", "pid"]
+    with pytest.raises(UserError, match="unknown mode ''"):
+        chosen_modes("", ("none", "pid"))

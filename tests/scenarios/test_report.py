@@ -200,7 +200,7 @@ def test_the_results_page_says_what_misses_its_target(tmp_path: Path) -> None:
     out = tmp_path / "docs" / "results.md"
     assert write_page(folder, out) == 2
     text = out.read_text()
-    assert text.index("(#a)") < text.index("(#b)")
+    assert text.index("- [Chapter 8](#a) (`a.json`)") < text.index("- [Chapter 8](#b) (`b.json`)")  # told apart
     assert "| missed | 2.5 % | < 2 % | **no** |" in text
     assert "| kept | 1.5 % | < 2 % | yes |" in text
     assert "| seen | – |  |  |" in text
