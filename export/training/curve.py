@@ -8,8 +8,8 @@ from pathlib import Path
 
 import matplotlib
 
-from export.training.checkpoint import atomic
 from task.config import Settings
+from task.files import atomic
 
 matplotlib.use("Agg")
 

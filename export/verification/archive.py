@@ -19,12 +19,12 @@ from ribs.schedulers import Scheduler
 from rich.console import Console
 
 from export.network import Layer, Network
-from export.training.checkpoint import atomic
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import GymnasiumRollouts
 from export.verification.lander import ID
 from task.config import Settings
 from task.errors import UserError
+from task.files import atomic
 
 CHECKPOINT, ELITES = "scheduler.pickle", "elites.npz"
 N_SEEN, N_ACTED = 8, 2

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 
 from export.network import Network
-from export.training.checkpoint import atomic
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import SEEDS, GymnasiumRollouts
 from export.verification.lander import FAULTS, ID, Fault
+from task.files import atomic
 
 TOGETHER = 100
 """Landers that fly side by side, and are remembered together."""

@@ -150,3 +150,18 @@ def test_who_stops_a_run_is_told_how_to_go_on(minutes, code, tmp_path, monkeypat
         signal.signal(signal.SIGINT, before)
     assert done.exit_code == code
     assert "the same command goes on" in done.output
+
+
+def test_a_run_goes_on_with_its_own_configuration(tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text('name = "own"')
+    for _ in range(2):
+        done = CliRunner().invoke(main, ["breed", "--config", str(config), "--out", str(tmp_path), "--minutes", "0"])
+        assert done.exit_code == 3, done.output
+    assert config.read_text() == 'name = "own"'
+
+
+def test_cases_whose_files_would_be_one_are_refused(tmp_path):
+    cases = tuple(Case(name=name) for name in ("rudder -1", "rudder_-1"))
+    with pytest.raises(UserError, match="got rudder -1 and rudder_-1; rename one"):
+        Breeder(msgspec.structs.replace(SMALL, cases=cases), tmp_path)
