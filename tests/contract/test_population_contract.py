@@ -13,10 +13,13 @@ import export.folder
 import export.manifest
 import runtime.manifest
 import runtime.population
+from export.golden import golden_actions
 from export.network import Layer, Network, forward, unflatten
+from export.population import Description, Population
 from export.rollout import rollout
 from runtime.imagination import Imagination, Snapshot
 from runtime.population import BehaviouralPolicy, load_population
+from task.config import load_json
 from task.errors import UserError
 from task.model import embed_reduced
 from task.reference import random_reference
@@ -121,3 +124,16 @@ def test_shipped_populations_load_and_are_whole(folder):
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert set(population.manifest.files) == files - {"manifest.json"}
     assert export.manifest.file_hashes(folder) == population.manifest.files
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda p: p.name)
+def test_shipped_golden_samples_see_the_parameters_of_every_member(folder):
+    """They are those that an export makes today, the smaller ones included."""
+    manifest = load_json(folder / "manifest.json", export.manifest.Manifest)
+    description = Description(network=manifest.network, members=manifest.members, champion=manifest.champion)
+    made = golden_actions(Population(description, np.load(folder / "parameters.npy")))
+    shipped = manifest.golden_actions
+    assert shipped.observations == made.observations
+    np.testing.assert_allclose(shipped.actions, made.actions, atol=1e-12)
+    away = np.abs(np.array(shipped.actions) - manifest.network.action_offset)
+    assert (away < 0.9 * np.abs(manifest.network.action_scale)).any(axis=1).all()
