@@ -19,7 +19,7 @@ from export.cast.search import Draw, Judge, search
 from export.cast.trials import Drawer, random_case, random_conditions
 from export.cast.variants import levelled, mirrored, symmetric, variant_name
 from export.mirrors import AXES
-from export.network import Network, n_parameters
+from export.network import Network, n_parameters, validate
 from sim_bridge.conditions import NOMINAL
 from task.config import Settings, load_json, to_json
 from task.errors import UserError
@@ -64,6 +64,7 @@ class Breeder:
         """Make the folder and read what it holds. Raises UserError when it is of another configuration."""
         self.settings, self.folder = settings, folder
         self.network = Network(layers=settings.layers, input_scale=settings.input_scale)
+        validate(self.network, settings.name)
         self.stage = Stage()
         self.judge = Judge(self.stage, self.network, settings.trial)
         self.drawer = Drawer(settings.trial, self.stage.plant)

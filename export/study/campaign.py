@@ -104,7 +104,7 @@ def fly_once(
     path = store / f"{case.name}-{digest}.npz"
     if path.exists():
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
                 scores = Scores(**{name: kept[name] for name in Scores._fields})
         except (OSError, ValueError, AttributeError, KeyError, EOFError, zipfile.BadZipFile):
             raise UserError(f"{path}: holds no flights; delete it, and they are flown again") from None
