@@ -13,6 +13,7 @@ import export.folder
 import export.manifest
 import runtime.manifest
 import runtime.population
+from export.card import card
 from export.golden import golden_actions
 from export.network import Layer, Network, forward, unflatten
 from export.population import Description, Population
@@ -137,3 +138,23 @@ def test_shipped_golden_samples_see_the_parameters_of_every_member(folder):
     np.testing.assert_allclose(shipped.actions, made.actions, atol=1e-12)
     away = np.abs(np.array(shipped.actions) - manifest.network.action_offset)
     assert (away < 0.9 * np.abs(manifest.network.action_scale)).any(axis=1).all()
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda p: p.name)
+def test_shipped_cards_say_what_an_export_says_today(folder):
+    """All but the screening, whose flights are not kept; of it the members' figures, which the manifest has too."""
+    manifest = load_json(folder / "manifest.json", export.manifest.Manifest)
+    description = Description(
+        network=manifest.network, members=manifest.members, champion=manifest.champion, training=manifest.training
+    )
+    population = Population(description, np.load(folder / "parameters.npy"))
+    written = card(population, manifest.name, manifest.exported_with, None)
+    shipped = (folder / "MODEL_CARD.md").read_text()
+    assert shipped.partition("## Screening")[0] == written.partition("## Screening")[0]
+    rows = {cells[0]: cells[1:] for line in shipped.splitlines() if len(cells := line.strip("| ").split(" | ")) == 6}
+    for member in manifest.members:
+        passed, error, _, lost, verdict = rows[member.name]
+        assert int(passed) == member.scores["screening_cases_passed"]
+        assert float(error) == pytest.approx(member.scores["screening_nominal_nmae"], abs=0.006)
+        assert int(lost) == member.scores["screening_lost"]
+        assert verdict == manifest.training["screening"]["verdicts"][member.name]
