@@ -158,3 +158,13 @@ def test_a_run_that_is_cut_short_while_it_is_written_is_not_taken_for_one(run, m
         load_run(run)
     save_run(make_actors(NETWORK, seed=3), run)
     np.testing.assert_array_equal(load_run(run).parameters, make_actors(NETWORK, seed=3).parameters)
+
+
+def test_the_command_says_before_its_flights_whom_single_precision_does_not_fly(run, tmp_path):
+    np.save(run / "parameters.npy", np.load(run / "parameters.npy") * np.float32(1e30))
+    out = tmp_path / "cast"
+    result = click.testing.CliRunner().invoke(export, [str(run), str(out)])
+    assert isinstance(result.exception, UserError)
+    assert "member 'actor-0': in single precision" in str(result.exception)
+    assert "model prior" not in result.output
+    assert not out.exists()
