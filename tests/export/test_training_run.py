@@ -28,6 +28,7 @@ from export.training.curve import Row, draw, write_csv
 from export.training.rollouts import discounted_penalty
 from export.training.run import start
 from export.training.train import CHECKPOINT, Trainer
+from export.training.worker import FlightWorker
 from task.errors import UserError
 
 TINY = """
@@ -343,6 +344,16 @@ def test_flights_in_a_worker_change_nothing(tmp_path: Path) -> None:
         t.close()
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     torch.testing.assert_close(ends[0][1], ends[1][1], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("asked", ["start", "result"])
+def test_a_worker_that_was_killed_is_one_line(asked: str) -> None:
+    worker = FlightWorker(overlapping().task, discount_penalty=True)
+    worker._process.kill()
+    worker._process.join()
+    with pytest.raises(UserError, match="the process that flies ended before its flights; the same command goes on"):
+        worker.start([]) if asked == "start" else worker.result()
+    worker.close()
 
 
 def test_a_run_killed_while_its_worker_flies_goes_on(tmp_path: Path) -> None:
