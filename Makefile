@@ -9,7 +9,9 @@ SCENARIO   ?= cg_shift
 # The cast that flies; empty: the scenario's own.
 POPULATION ?=
 CONFIG     ?= serl50
-RUN        ?= runs/$(CONFIG)
+# Of the run and of the population: the configuration's, also where that is a path to a .toml.
+NAME        = $(basename $(notdir $(CONFIG)))
+RUN        ?= runs/$(NAME)
 CAST        = $(if $(POPULATION),--population $(POPULATION))
 
 .DEFAULT_GOAL := help
@@ -55,11 +57,11 @@ lint: setup-dev ## Format and fix what can be fixed by itself
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-train: setup-dev ## Train a population: CONFIG=serl50 | serl10 | td3; resumes where it stopped
+train: setup-dev ## Train a population: CONFIG=serl50 | serl10 | td3 | a .toml; resumes where it stopped
 	$(BIN)/understudy train $(CONFIG) --out $(RUN) $(ARGS)
 
-export: setup-dev ## Export RUN to populations/CONFIG; serl50 is shipped with ARGS=--only-fit
-	$(BIN)/understudy export $(RUN) populations/$(CONFIG) $(ARGS)
+export: setup-dev ## Export RUN to populations/NAME; serl50 is shipped with ARGS=--only-fit
+	$(BIN)/understudy export $(RUN) populations/$(NAME) $(ARGS)
 
 cast: setup-dev ## Breed the default cast, export it, measure it beside specialists and laws
 	$(BIN)/python -m export.cast breed --out runs/citation $(ARGS)

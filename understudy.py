@@ -27,6 +27,9 @@ COMMANDS = {
 }
 """Subcommand: where it lives, and its line of help; nothing is imported before it is asked for."""
 
+EXTRAS = {"export": "export", "bench": "dev"}
+"""The extra that installs what a package needs; ``sim`` where none is named."""
+
 
 class LazyGroup(click.Group):
     """A group that imports a subcommand when it runs, so that the runtime never pulls in the offline side."""
@@ -39,16 +42,7 @@ class LazyGroup(click.Group):
         """Import and return one subcommand; say which extra is missing when it cannot be imported."""
         if cmd_name not in COMMANDS:
             return None
-        module, name = COMMANDS[cmd_name][0].split(":")
-        try:
-            return getattr(importlib.import_module(module), name)
-        except ModuleNotFoundError as error:
-            if error.name and error.name.split(".")[0] == module.split(".")[0]:
-                raise
-            extra = "export" if module.startswith("export") else "sim"
-            raise UserError(
-                f"'understudy {cmd_name}' needs {error.name}, which is not installed; here: pip install '.[{extra}]'"
-            ) from None
+        return _imported(COMMANDS[cmd_name][0], f"understudy {cmd_name}")
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the subcommands from the table, without importing them."""
@@ -101,8 +95,22 @@ def run(command: click.Command | str) -> None:
 def _named(command: click.Command | str) -> click.Command:
     if isinstance(command, click.Command):
         return command
-    module, name = command.split(":")
-    return getattr(importlib.import_module(module), name)
+    return _imported(command, f"python -m {command.split(':')[0].rpartition('.')[0]}")
+
+
+def _imported(place: str, typed: str) -> click.Command:
+    """Import and return the command at ``module:name``; raise UserError when what ``typed`` needs is not installed."""
+    module, name = place.split(":")
+    package = module.split(".")[0]
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.split(".")[0] == package:
+            raise
+        extra = EXTRAS.get(package, "sim")
+        raise UserError(
+            f"'{typed}' needs {error.name}, which is not installed; here: pip install '.[{extra}]'"
+        ) from None
 
 
 def main() -> None:

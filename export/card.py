@@ -107,7 +107,7 @@ def _screened(population: Population, screening: Screening) -> dict[str, Any]:
 
 def _cases(population: Population, screening: Screening) -> list[list[str]]:
     """Return a row for each case: the champion, the best, the average and how many keep the constraints."""
-    names = [member.name for member in population.description.members]
+    names = [_cell(member.name) for member in population.description.members]
     titles = {case.name: case.title for case in (*CASES, *REVERSED)}
     rows = []
     for case, scores in screening.scores.items():
@@ -129,7 +129,7 @@ def _members(population: Population, screening: Screening) -> list[list[str]]:
     order = sorted(range(len(ranking)), key=lambda i: (-screening.passed(i), float(ranking[i]), i))
     return [
         [
-            population.description.members[i].name,
+            _cell(population.description.members[i].name),
             str(screening.passed(i)),
             f"{nominal.nmae[i].mean():.2f}",
             f"{nominal.smoothness[i].mean():.1f}",

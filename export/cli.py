@@ -8,6 +8,7 @@ import click
 
 from export.folder import check_place, write_population
 from export.gains import with_gains
+from export.golden import golden_actions
 from export.mirrors import with_mirrors
 from export.population import TRAINING_RECORDS, load_run
 from export.prior import PriorSettings, model_prior
@@ -72,6 +73,7 @@ def export(
         trained = with_mirrors(trained, str(run))
     if gains:
         trained = with_gains(trained, str(run))
+    golden_actions(trained)  # members that single precision does not fly are refused before the flights, not after
     members, parameters = trained.parameters.shape
     click.echo(f"{run}: {members} members of {parameters} parameters, champion {trained.description.champion}")
     click.echo(

@@ -73,14 +73,22 @@ def write_population(
         (made / CARD).write_text(card(population, folder.name, versions(), screening))
         manifest = _fill(made, population, prior, folder.name, records or {}, lag)
         verify(made, manifest, population, prior)
+        old = Path(temporary) / "old"
         if folder.exists():
-            folder.rename(Path(temporary) / "old")
-        made.rename(folder)
+            folder.rename(old)
+        try:
+            made.rename(folder)
+        except OSError as error:
+            if old.exists():
+                old.rename(folder)
+            raise UserError(f"{folder}: cannot be written: {error.strerror}; the population is as it was") from None
     return manifest
 
 
 def check_place(folder: Path) -> None:
     """Raise UserError unless a population can be written to ``folder``."""
+    if folder.name in ("", ".."):
+        raise UserError(f"{str(folder)!r}: expected a folder named as the population; give populations/NAME")
     if folder.exists() and not (folder.is_dir() and ((folder / MANIFEST).exists() or not any(folder.iterdir()))):
         raise UserError(f"{folder}: exists and is not a population; choose another folder or remove it")
     make_folder(folder.parent, str(folder))

@@ -10,6 +10,7 @@ from export.prior import COMMAND_LAG, Prior
 from export.rollout import MAX_DELAY, rollout, rollout_laws
 from task.actuators import HEALTHY
 from task.config import Settings
+from task.errors import UserError
 from task.laws import N_MEMORY, N_SEEN, SEEN
 from task.limits import DT
 from task.model import embed_reduced
@@ -17,6 +18,8 @@ from task.reference import cosine_steps
 from task.state import ACTION, N_ACTION, N_IDENTIFIED, N_OBSERVATION, N_REFERENCE, REFERENCE, STATE, TRACKED
 
 GOLDEN_OBSERVATIONS = 4
+ACTION_TOLERANCE = 2e-5
+"""Between single and double precision [rad]."""
 SMALLER, SMALLEST = 4.0, 4
 """Where the answers to them are at their bounds there are more observations, each time so much smaller; at most so many
 times."""
@@ -91,7 +94,23 @@ def golden_actions(population: Population, seed: int = 0) -> GoldenActions:
         asked = (asked / SMALLER).astype(np.float32).astype(float)
         observations = np.concatenate([observations, asked])
         actions = np.concatenate([actions, _answers(population, asked)], axis=1)
-    return GoldenActions(observations=observations.tolist(), actions=actions.tolist(), tolerance=2e-5)
+    _check_precision(population, observations, actions)
+    return GoldenActions(observations=observations.tolist(), actions=actions.tolist(), tolerance=ACTION_TOLERANCE)
+
+
+def _check_precision(population: Population, observations: np.ndarray, actions: np.ndarray) -> None:
+    """Raise UserError, naming the member, where its answers (P, n, 3) need more than the graphs' single precision."""
+    tensors = unflatten(population.network, population.parameters)
+    with np.errstate(all="ignore"):  # what overflows is found by the comparison
+        single = np.stack([forward(population.network, tensors, s.astype(np.float32)) for s in observations], axis=1)
+        difference = np.abs(single - actions).max(axis=(1, 2))
+    if (wrong := ~(difference <= ACTION_TOLERANCE)).any():
+        member = int(wrong.argmax())
+        raise UserError(
+            f"member {population.description.members[member].name!r}: in single precision it answers a golden sample "
+            f"{difference[member]:.1e} rad off, tolerance {ACTION_TOLERANCE:.0e}: its largest parameter is "
+            f"{np.abs(population.parameters[member]).max():.1e}; leave it out or train it again"
+        )
 
 
 def _answers(population: Population, observations: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from export.network import Network, Tensor, layout, n_parameters, validate
 from task.config import Settings, load_json, read_bytes, to_json
 from task.errors import UserError
+from task.files import atomic, make_folder
 
 DESCRIPTION = "population.json"
 PARAMETERS = "parameters.npy"
@@ -94,7 +95,10 @@ def checked(population: Population, where: str) -> Population:
         )
     names = [m.name for m in description.members]
     if not names or len(set(names)) != len(names):
-        raise UserError(f"{where}: members: expected at least one and unique names, got {names}")
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise UserError(f"{where}: members: expected at least one and unique names, got {twice or names}")
+    if wrong := [name for name in names if name != name.strip() or not (name and name.isprintable())]:
+        raise UserError(f"{where}: members: expected names in one line of printable text, got {wrong[0]!r}; rename it")
     if description.champion not in names:
         raise UserError(f"{where}: champion: expected a member's name, got {description.champion!r}")
     shape = (len(names), n_parameters(description.network))
@@ -122,6 +126,14 @@ def load_run(folder: Path) -> Population:
 def save_run(population: Population, folder: Path) -> None:
     """Write a population as a trained run, so that any stacked MLP actors can be exported."""
     checked(population, str(folder))
-    folder.mkdir(parents=True, exist_ok=True)
-    np.save(folder / PARAMETERS, population.parameters, allow_pickle=False)
-    (folder / DESCRIPTION).write_bytes(to_json(population.description))
+    write_run(population, folder)
+
+
+def write_run(population: Population, folder: Path) -> None:
+    """Write parameters, then the description: a write that is cut short leaves a folder that is not taken for a run."""
+    make_folder(folder)
+    (folder / DESCRIPTION).unlink(missing_ok=True)
+    with atomic(folder / PARAMETERS) as file:
+        np.save(file, population.parameters, allow_pickle=False)
+    with atomic(folder / DESCRIPTION) as file:
+        file.write(to_json(population.description))

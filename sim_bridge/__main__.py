@@ -1,7 +1,6 @@
 """``python -m sim_bridge``: the bridge."""
 
-from sim_bridge.cli import bridge
 from understudy import run
 
 if __name__ == "__main__":
-    run(bridge)
+    run("sim_bridge.cli:bridge")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from task.errors import UserError
 
@@ -24,6 +28,29 @@ def make_folder(folder: Path, what: str = "") -> Path:
         where = f"{what}: {folder}" if what else str(folder)
         raise UserError(f"{where}: cannot be written: {error.strerror}; free it, or write elsewhere") from None
     return folder
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for writing so that a reader, or a crash, sees the old content or the new, never a part.
+
+    Raises UserError when the disk does not take it; the old content is left.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise UserError(
+            f"{path}: cannot be written: {error.strerror or error}; make room or write elsewhere; the old one is kept"
+        ) from None
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def find_population(name: str | Path) -> Path:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from task.config import load_json, to_json
+from task.files import atomic, make_folder
 
 FOLDER = Path("results")
 
@@ -48,10 +49,10 @@ class Result(msgspec.Struct, kw_only=True):
 
 
 def write(name: str, result: Result, folder: Path = FOLDER) -> Path:
-    """Write ``results/<name>.json`` and return its path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.json"
-    path.write_bytes(to_json(result))
+    """Write ``results/<name>.json`` whole and return its path; raise UserError when it cannot be written."""
+    path = make_folder(folder) / f"{name}.json"
+    with atomic(path) as file:
+        file.write(to_json(result))
     return path
 
 

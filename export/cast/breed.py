@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import time
 import zlib
@@ -20,10 +19,11 @@ from export.cast.search import Draw, Judge, search
 from export.cast.trials import Drawer, random_case, random_conditions
 from export.cast.variants import levelled, mirrored, symmetric, variant_name
 from export.mirrors import AXES
-from export.network import Network, n_parameters
+from export.network import Network, n_parameters, validate
 from sim_bridge.conditions import NOMINAL
 from task.config import Settings, load_json, to_json
 from task.errors import UserError
+from task.files import atomic, make_folder
 from task.state import STATE
 
 Report = Callable[[str, bool], None]
@@ -64,15 +64,18 @@ class Breeder:
         """Make the folder and read what it holds. Raises UserError when it is of another configuration."""
         self.settings, self.folder = settings, folder
         self.network = Network(layers=settings.layers, input_scale=settings.input_scale)
+        validate(self.network, settings.name)
         self.stage = Stage()
         self.judge = Judge(self.stage, self.network, settings.trial)
         self.drawer = Drawer(settings.trial, self.stage.plant)
         self.cases: dict[str, Case] = {case.name: case for case in (*EASY, *settings.cases)}
         self.hard = {case.name for case in settings.cases}
-        try:
-            (folder / "bred").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(f"{folder}: cannot make the run's folder: {error.strerror}; choose another --out") from None
+        slugs = [slug(name) for name in (*self.cases, ROBUST)]
+        if twice := [name for name in (*self.cases, ROBUST) if slugs.count(slug(name)) > 1]:
+            raise UserError(
+                f"cases: expected names that differ in letters and digits, got {' and '.join(twice)}; rename one"
+            )
+        make_folder(folder / "bred", "--out")
         self.bred: dict[tuple[str, int], Bred] = {}
         planned = {name: search_settings for name, _, search_settings in self.plan()}
         for path in sorted((folder / "bred").glob("*.json")):
@@ -148,9 +151,8 @@ class Breeder:
             parameters=tuple(found.parameters.tolist()),
         )
         path = self.folder / "bred" / f"{slug(name)}.{round_}.json"
-        partial = path.with_suffix(".partial")
-        partial.write_bytes(to_json(one))
-        os.replace(partial, path)
+        with atomic(path) as file:
+            file.write(to_json(one))
         self.bred[name, round_] = one
         report(f"{name}, round {round_ + 1}: {found.start_cost:.2f} ({start_name}) -> {found.cost:.2f} %", True)
 

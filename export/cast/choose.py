@@ -21,6 +21,7 @@ from export.mirrors import AXES
 from export.population import Description, Member, Population, save_run
 from task.config import Settings, load_json, to_json
 from task.errors import UserError
+from task.files import atomic
 
 TUNING_STREAM = 1_000_003
 """Added to the run's seed: tuning trials are of another stream than those of the searches."""
@@ -69,9 +70,8 @@ def tune(breeder: Breeder, report: Report, stop: Callable[[], bool] = lambda: Fa
         tuned = Tuned(
             case=name, key=key, candidates=names, cost=tuple(cost.mean(axis=1).tolist()), lost=tuple(map(int, lost))
         )
-        partial = path.with_suffix(".partial")
-        partial.write_bytes(to_json(tuned))
-        os.replace(partial, path)
+        with atomic(path) as file:
+            file.write(to_json(tuned))
         report(f"{name}: best {names[int(cost.mean(axis=1).argmin())]} {cost.mean(axis=1).min():.2f} %", True)
     return True
 

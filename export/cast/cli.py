@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import sys
 import time
@@ -17,6 +16,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from export.cast.breed import Breeder
 from export.cast.choose import tune, write
 from export.cast.config import config_path, load
+from task.config import read_bytes
+from task.files import atomic
 from understudy import stopping
 
 MORE = 3
@@ -58,7 +59,9 @@ def breed(config: str, out: Path, minutes: float | None) -> None:
     command goes on.
     """
     breeder = Breeder(load(config), out)
-    shutil.copyfile(config_path(config), out / "config.toml")
+    text = read_bytes(config_path(config), "cast configuration")  # it may be the run's own, which is then left as it is
+    with atomic(out / "config.toml") as file:
+        file.write(text)
     stop = _Interrupt(minutes)
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

@@ -9,10 +9,11 @@ from typing import Annotated
 from msgspec import Meta
 
 from export.cast.cases import EASY, Case
+from export.mirrors import ODD
 from export.network import Layer
 from task.config import Settings, load_toml
 from task.errors import UserError
-from task.state import N_OBSERVATION
+from task.state import N_ACTION, N_OBSERVATION
 
 Count = Annotated[int, Meta(ge=1)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -139,6 +140,12 @@ class CastSettings(Settings, frozen=True):
         unknown = sorted(set(self.bred_for) - {case.name for case in EASY})
         if unknown:
             raise ValueError(f"bred_for: expected cases of the thesis, got {', '.join(unknown)}")
+        last = self.layers[-1] if self.layers else None
+        if last is None or last.units != N_ACTION or last.layer_norm != "none" or last.activation not in ODD:
+            raise ValueError(
+                f"layers: expected a last layer of {N_ACTION} units, {' or '.join(ODD)}, without layer_norm, of which "
+                f"mirrors and levels can be made, got {last}"
+            )
         if len(self.layers) > 1 and any(s.symmetric for s in (self.main, self.specialist, self.robust)):
             raise ValueError(f"symmetric: expected a network of one layer, got {len(self.layers)}; leave it out")
         if len(self.input_scale) != N_OBSERVATION or not all(map(math.isfinite, self.input_scale)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -12,9 +13,10 @@ import numpy as np
 
 from export.network import Network
 from export.study.cases import Case, CaseFleet
-from export.training.checkpoint import atomic
 from export.training.evaluate import DURATION, Scores, score
 from export.training.flights import draw_references
+from task.errors import UserError
+from task.files import atomic, make_folder
 from task.reference import FamilyName
 
 ABREAST = 14
@@ -101,12 +103,15 @@ def fly_once(
     digest = hashlib.sha256(b"".join(what)).hexdigest()[:16]
     path = store / f"{case.name}-{digest}.npz"
     if path.exists():
-        with np.load(path, allow_pickle=False) as kept:
-            scores = Scores(**{name: kept[name] for name in Scores._fields})
+        try:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+                scores = Scores(**{name: kept[name] for name in Scores._fields})
+        except (OSError, ValueError, AttributeError, KeyError, EOFError, zipfile.BadZipFile):
+            raise UserError(f"{path}: holds no flights; delete it, and they are flown again") from None
         progress(scores.length.size)
         return scores
     scores = fly(fleet, case, network, parameters, trials, progress)
-    store.mkdir(parents=True, exist_ok=True)
+    make_folder(store)
     with atomic(path) as file:
         np.savez(file, allow_pickle=False, **scores._asdict())
     return scores

@@ -83,8 +83,12 @@ def names(population: Population) -> list[str]:
 
 
 def contest(run: Path, td3_runs: tuple[Path, ...]) -> Contest:
-    """Read the runs; raise UserError when there is no TD3 actor among them."""
+    """Read the runs; raise UserError when there is no population, or no TD3 actor among them."""
     population = load_run(run)
+    if all(name == TD3 for name in names(population)):
+        raise UserError(f"{run}: no genetic actors; expected a population, and runs of TD3 alone with --td3")
+    if run in td3_runs:
+        raise UserError(f"--td3 {run}: is the population itself, whose TD3 actor flies anyway; name a run of TD3 alone")
     rivals = {}
     for path in td3_runs:
         rival = load_run(path)

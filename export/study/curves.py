@@ -22,6 +22,7 @@ from export.study.thesis import RETURN_CHAMPION, RETURN_TD3
 from export.training.curve import Row
 from export.training.evaluate import Scores
 from task import results
+from task.errors import UserError
 from task.results import Claim, Table
 
 WINDOW = 9
@@ -49,6 +50,8 @@ def smoothed(curve: list[Row], field: str) -> np.ndarray:
 def learnt(run: Path, fleet: CaseFleet, progress: Progress) -> Learnt:
     """Read a run and fly its champion and its TD3 actor on the published references."""
     population = load_run(run)
+    if TD3 not in names(population):
+        raise UserError(f"{run}: no member '{TD3}'; expected a run of 'understudy train', with every actor")
     rows = [population.champion, names(population).index(TD3)]
     parameters = population.parameters[rows]
     final = fly_once(run / STORE, fleet, CASES[0], population.network, parameters, PUBLISHED, progress)

@@ -186,4 +186,4 @@ def draw_litters(figure: Figure, litters: list[Litter]) -> None:
         axis.set_yscale("symlog", linthresh=0.1)
         axis.axhline(0.0, color="black", lw=0.6)
     axes[2].set_yscale("log")
-    axes[2].legend()
+    axes[2].legend(loc="upper left")

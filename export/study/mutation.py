@@ -72,7 +72,7 @@ def draw_training(figure: Figure, runs: dict[str, list[Short]]) -> None:
         axis.set_yticks(RETURNS, [f"{r:g}" for r in RETURNS])
         axis.set_ylim(RETURNS[0], RETURNS[-1])
     axes[0].set_ylabel("return of a flight")
-    axes[0].legend()
+    axes[0].legend(loc="upper right")
 
 
 def claims(runs: dict[str, list[Short]], litters: list[Litter]) -> list[Claim]:

@@ -11,6 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from task.files import atomic, make_folder
+
 FOLDER = Path("docs/img")
 
 
@@ -23,7 +25,8 @@ def picture(name: str, folder: Path = FOLDER) -> Iterator[Figure]:
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     yield figure
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=100)
-    Image.open(drawn).convert("RGB").save(folder / f"{name}.png", optimize=True)
+    with atomic(folder / f"{name}.png") as file:
+        Image.open(drawn).convert("RGB").save(file, format="PNG", optimize=True)

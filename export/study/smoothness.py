@@ -115,7 +115,7 @@ def draw(figure: Figure, runs: list[Smooth]) -> None:
     axis.set_xlabel("Sm, average of the population [rad Hz] (right is smoother)")
     axis.set_ylabel("champion's return of 20 s")
     axis.grid(alpha=0.3)
-    axis.legend(fontsize="x-small", ncols=2)
+    axis.legend(fontsize="x-small", ncols=2, loc="upper left")
 
 
 def draw_spread(figure: Figure, run: Smooth) -> None:
@@ -137,7 +137,7 @@ def draw_spread(figure: Figure, run: Smooth) -> None:
         axis.set_xlabel(label)
         axis.set_ylabel("members")
         axis.grid(alpha=0.3)
-    axes[0].legend()
+    axes[0].legend(loc="upper right")
 
 
 @click.command()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,19 +12,9 @@ import torch
 from torch import Tensor
 
 from task.errors import UserError
+from task.files import atomic
 
 META = "meta"
-
-
-@contextmanager
-def atomic(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for writing so that a reader, or a crash, sees the old content or the new, never a part."""
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("wb") as file:
-        yield file
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
 
 
 def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -43,11 +30,19 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        meta = msgspec.json.decode(arrays.pop(META).tobytes())
+        meta = msgspec.json.decode(arrays.pop(META).tobytes(), type=dict[str, Any])
+        meta["config"]  # a checkpoint says what it is of
     except (OSError, ValueError, AttributeError, KeyError, EOFError, zipfile.BadZipFile, msgspec.DecodeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(f"{path}: not a checkpoint of a training run: {reason}; start afresh with --fresh") from None
+        raise UserError(
+            f"{path}: not a checkpoint of a training run: {said(error)}; start afresh with --fresh"
+        ) from None
     return {name: torch.from_numpy(array) for name, array in arrays.items()}, meta
+
+
+def said(error: Exception) -> str:
+    """Return what an error says, in one line, with its kind where that alone says something."""
+    lines = str(error).splitlines()
+    return lines[0] if lines and not isinstance(error, KeyError) else f"{type(error).__name__} {error}".strip()
 
 
 def part(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:

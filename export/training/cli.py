@@ -19,6 +19,7 @@ from export.training.curve import Row
 from export.training.evaluate import Scores
 from export.training.run import run, start
 from export.training.train import Trainer
+from task.config import LARGEST_INTEGER
 from task.errors import UserError
 from understudy import INTERRUPTED, stopping
 
@@ -97,8 +98,12 @@ GO_ON = "the same command goes on"
 @click.command()
 @click.argument("config")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the run.  [default: runs/NAME]")
-@click.option("--seed", type=click.IntRange(0), help="Replaces the configuration's seed.")
-@click.option("--frames", type=click.IntRange(1), help="Replaces the configuration's frames; may grow on resuming.")
+@click.option("--seed", type=click.IntRange(0, LARGEST_INTEGER), help="Replaces the configuration's seed.")
+@click.option(
+    "--frames",
+    type=click.IntRange(1, LARGEST_INTEGER),
+    help="Replaces the configuration's frames; may grow on resuming.",
+)
 @click.option("--resume/--fresh", default=True, show_default=True, help="Continue a checkpoint in --out, or overwrite.")
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads of the tensor library.")
 @click.option(

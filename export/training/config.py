@@ -108,7 +108,7 @@ class GeneticSettings(Settings, frozen=True):
     mutation_batch: Count = 86
     """States over which the sensitivity is summed (eq. 8)."""
     sensitivity_floor: Positive = 0.01
-    memory: Annotated[int, Meta(ge=1, le=10_000_000)] = 8_000
+    memory: Annotated[int, Meta(ge=2, le=10_000_000)] = 8_000
     """kappa: states in each actor's genetic memory, and in its critical buffer."""
     pairing: Literal["distance", "fitness"] = "distance"
     """How crossover pairs are ranked: behavioural distance (eq. 7) or summed fitness."""
@@ -161,7 +161,8 @@ class EnvironmentSettings(Settings, frozen=True):
 class TrainingConfig(Settings, frozen=True):
     """One training run."""
 
-    name: str
+    name: Annotated[str, Meta(pattern=r"^[^\s./\\][^\n/\\]*$")]
+    """Of the run, and of its folder under ``runs`` where none is given."""
     frames: Count
     """Stop after the generation in which the stored frames reach this number."""
     seed: Seed = 0
@@ -186,6 +187,23 @@ class TrainingConfig(Settings, frozen=True):
                 f"genetic.stored_evaluations: expected at most genetic.evaluations = {self.genetic.evaluations}, "
                 f"got {self.genetic.stored_evaluations}"
             )
+        if self.td3.updates_per_frame > 0.0 and self.td3.buffer <= self.td3.learning_starts:
+            raise ValueError(
+                f"td3.buffer: expected more than td3.learning_starts = {self.td3.learning_starts}, or nothing is ever "
+                f"learnt, got {self.td3.buffer}"
+            )
+        safe = self.genetic.population and self.genetic.mutation == "safe"
+        if safe and self.genetic.memory <= self.genetic.mutation_batch:
+            raise ValueError(
+                f"genetic.memory: expected more than genetic.mutation_batch = {self.genetic.mutation_batch}, or safe "
+                f"mutation never sees a critical state, got {self.genetic.memory}"
+            )
+        for name, units, norm in (
+            ("actor.width", (self.actor.width,), self.actor.layer_norm),
+            ("td3.critic_layers", self.td3.critic_layers, self.td3.critic_layer_norm),
+        ):
+            if norm != "none" and 1 in units:
+                raise ValueError(f"{name}: expected at least 2 units where a LayerNorm follows, got 1")
 
 
 def load(name_or_path: str) -> TrainingConfig:

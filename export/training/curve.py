@@ -8,8 +8,8 @@ from pathlib import Path
 
 import matplotlib
 
-from export.training.checkpoint import atomic
 from task.config import Settings
+from task.files import atomic
 
 matplotlib.use("Agg")
 
@@ -82,7 +82,7 @@ def draw(path: Path, rows: list[Row], title: str) -> None:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("return of a flight")
     axes[0].set_yscale("symlog", linthresh=100.0)
-    axes[0].legend()
+    axes[0].legend(loc="lower right")
     figure.suptitle(title)
     with atomic(path) as file:
         figure.savefig(file, format="png", dpi=120)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from typing import Any
 
 import gymnasium
@@ -51,9 +52,29 @@ class GymnasiumRollouts:
         arguments: dict[str, Any] = dict(self.settings.arguments)
         try:
             return gymnasium.make(self.settings.id, disable_env_checker=True, **arguments)
-        except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
-            reason = str(error).splitlines()[0].removesuffix(".") if str(error) else type(error).__name__
-            raise UserError(f"environment '{self.settings.id}': gymnasium cannot make it: {reason}") from None
+        except Exception as error:  # an environment's constructor may raise anything
+            raise self._failed("gymnasium cannot make it", error) from None
+
+    def _failed(self, what: str, error: Exception) -> UserError:
+        """Return in one line what an environment raised, and where."""
+        reason = str(error).strip().splitlines()[0].removesuffix(".") if str(error).strip() else "no reason given"
+        if not isinstance(error, (gymnasium.error.Error, ImportError)):
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            reason = f"{type(error).__name__}: {reason} ({place.filename}, line {place.lineno})"
+        return UserError(f"environment '{self.settings.id}': {what}: {reason}")
+
+    def _reset(self, env: gymnasium.Env[np.ndarray, np.ndarray], seed: int) -> np.ndarray:
+        """Start an episode; return its first observation."""
+        try:
+            seen = np.asarray(env.reset(seed=seed)[0])
+        except Exception as error:
+            raise self._failed("reset failed", error) from None
+        if seen.shape != (self.observation,):
+            raise UserError(
+                f"environment '{self.settings.id}': expected observations of shape {(self.observation,)}, as its "
+                f"observation_space says, got {seen.shape}"
+            )
+        return seen
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return seeds of ``count`` episodes, (count,) int64."""
@@ -77,7 +98,7 @@ class GymnasiumRollouts:
         lost = np.zeros(P * E, dtype=bool)
         steps = [env.step for env in self.envs[: P * E]]
         for i in range(P * E):
-            s[0, i] = self.envs[i].reset(seed=int(tasks[i % E]))[0]
+            s[0, i] = self._reset(self.envs[i], int(tasks[i % E]))
         flying = list(range(P * E))
         for k in range(T):
             u[k] = cast(s[k].reshape(P, E, -1))
@@ -86,17 +107,21 @@ class GymnasiumRollouts:
             np.clip(u[k], -1.0, 1.0, out=u[k])
             a = (self._middle + self._half * u[k].reshape(P * E, -1)).astype(self._dtype)
             ended = []
-            for i in flying:
-                s[k + 1, i], reward[k, i], terminated, truncated, _ = steps[i](a[i])
-                if terminated or truncated:
-                    lost[i], length[i] = terminated, k + 1
-                    ended.append(i)
+            try:
+                for i in flying:
+                    s[k + 1, i], reward[k, i], terminated, truncated, _ = steps[i](a[i])
+                    if terminated or truncated:
+                        lost[i], length[i] = terminated, k + 1
+                        ended.append(i)
+            except Exception as error:  # whatever the environment raises, or returns that is of no such shape
+                raise self._failed(f"step {k + 1} of an episode failed", error) from None
             if ended:
                 flying = [i for i in flying if i not in ended]
                 if not flying:
                     break
         if not (np.isfinite(reward).all() and np.isfinite(s).all()):
-            raise UserError(f"environment '{self.settings.id}': an observation or a reward was not finite")
+            what = "an observation" if np.isfinite(reward).all() else "a reward"
+            raise UserError(f"environment '{self.settings.id}': {what} was not finite; correct the environment")
         danger = np.zeros((T, P, E), dtype=bool)
         shape = (P, E)
         return Flights(

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from export.network import Network, n_parameters
-from export.population import DESCRIPTION, PARAMETERS, Description, Member, Population, load_array
+from export.population import DESCRIPTION, PARAMETERS, Description, Member, Population, load_array, write_run
 from export.training import curve
-from export.training.checkpoint import atomic
 from export.training.config import EnvironmentSettings
 from export.training.curve import Row
 from export.training.flights import Flights
 from export.training.gymnasium_rollouts import SEEDS, GymnasiumRollouts
 from export.training.run import CURVE, PICTURE, VALIDATION_STREAM, provenance
 from export.training.train import Trainer, train
-from task.config import Settings, load_json, to_json
+from task.config import Settings, load_json
 from task.errors import UserError
+from task.files import atomic
 
 BANDS = "validation_curve.csv"
 
@@ -139,10 +139,7 @@ def write_agents(trainer: Trainer, rollouts: GymnasiumRollouts, folder: Path) ->
         champion=names[int(returns.mean(axis=1).argmax())],
         training=provenance(trainer),
     )
-    with atomic(folder / PARAMETERS) as file:
-        np.save(file, parameters, allow_pickle=False)
-    with atomic(folder / DESCRIPTION) as file:
-        file.write(to_json(description))
+    write_run(Population(description, parameters), folder)
     return returns
 
 

@@ -13,9 +13,8 @@ import msgspec
 import numpy as np
 import torch
 
-from export.population import TRAINING_RECORDS, Description, Member, Population, save_run
+from export.population import DESCRIPTION, TRAINING_RECORDS, Description, Member, Population, save_run
 from export.training import curve
-from export.training.checkpoint import atomic
 from export.training.config import TrainingConfig, as_toml
 from export.training.curve import Row
 from export.training.evaluate import Scores, evaluate, evaluation_references
@@ -24,6 +23,7 @@ from export.training.rollouts import Rollouts
 from export.training.train import CHECKPOINT, Trainer, train
 from sim_bridge.conditions import FlightCondition
 from task.errors import UserError
+from task.files import atomic, make_folder
 
 CONFIG, CURVE, PICTURE = TRAINING_RECORDS
 VALIDATION_STREAM = 1_000_003
@@ -41,16 +41,21 @@ def start(
     """Make the folder and return a trainer: the checkpoint's when there is one and ``resume``, or a new one.
 
     It learns in the Citation's world unless given other ``rollouts``.
-    Raises UserError when the checkpoint is of another configuration, or the folder cannot be written.
+    Raises UserError when the checkpoint is of another configuration, when there is a population without one that only
+    ``resume=False`` may overwrite, or when the folder cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot make the run's folder: {error.strerror}; choose another --out") from None
+    make_folder(folder, "--out")
     checkpoint = folder / CHECKPOINT
     found = resume and checkpoint.exists()
+    if resume and not found and (folder / DESCRIPTION).exists():
+        raise UserError(
+            f"{folder}: holds a population, but no {CHECKPOINT} to go on from; give another --out, or "
+            "overwrite it with --fresh"
+        )
     world = config, device, rollouts, workers
     trainer = Trainer.resume(checkpoint, *world) if found else Trainer(*world)
+    if not found:
+        (folder / DESCRIPTION).unlink(missing_ok=True)  # of the run that is overwritten: the curve is no longer its own
     with atomic(folder / CONFIG) as file:
         file.write(as_toml(config).encode())
     return trainer
@@ -103,6 +108,7 @@ def write_population(trainer: Trainer, folder: Path) -> Scores:
 def provenance(trainer: Trainer) -> dict[str, Any]:
     """Return what made this population: configuration, seed, cost, versions."""
     last = trainer.curve[-1] if trainer.curve else None
+    world = "gymnasium" if trainer.config.environment else "jsbsim"
     return {
         "algorithm": f"SERL({trainer.config.genetic.population})" if trainer.config.genetic.population else "TD3",
         "config": msgspec.to_builtins(trainer.config),
@@ -118,6 +124,6 @@ def provenance(trainer: Trainer) -> dict[str, Any]:
         "cores": os.cpu_count(),
         "versions": {
             "python": platform.python_version(),
-            **{name: version(name) for name in ("numpy", "torch", "jsbsim")},
+            **{name: version(name) for name in ("numpy", "torch", world)},
         },
     }

@@ -74,7 +74,7 @@ class TD3:
         """Take ``updates`` critic steps, and one actor step for every ``policy_delay``; return mean losses.
 
         The targets move with the actor, so Bellman's target of all critic steps between two actor steps is
-        one pass. Updates beyond a whole number of such groups wait for the next call.
+        one pass. Updates beyond a whole number of such groups are left out.
         """
         s = self.settings
         device = replay.rows.device

@@ -21,6 +21,7 @@ from export.training.population import Population
 from export.training.rollouts import CitationRollouts, Rollouts
 from export.training.td3 import TD3
 from export.training.worker import FlightWorker, Order
+from task.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
 ORDERED = Order._fields[1:]
@@ -78,6 +79,7 @@ class Trainer:
             self._depart(self._order())
         bred = time.perf_counter()
         losses = self._learn(frames)
+        self._check_finite(losses)
         if not self.config.overlap:
             self._inject(slot)
         times = (flown - began, bred - flown, time.perf_counter() - bred)
@@ -176,6 +178,21 @@ class Trainer:
             return {"td_loss": 0.0, "q": 0.0}
         return self.learner.learn(self.replay, round(frames * self.config.td3.updates_per_frame), self.generator)
 
+    def _check_finite(self, losses: dict[str, float]) -> None:
+        """Raise UserError when learning or breeding has diverged: what would be saved is of no use."""
+        learner = np.isfinite(list(losses.values())).all() and bool(self.learner.actor.packed.isfinite().all())
+        if learner and bool(self.population.parameters.isfinite().all()):
+            return
+        what, settings = (
+            ("genetic actors", "genetic.crossover_learning_rate or genetic.mutation_magnitude")
+            if learner
+            else ("TD3 learner", "td3.learning_rate or td3.reward_scale")
+        )
+        raise UserError(
+            f"generation {len(self.curve) + 1}: the {what} diverged, numbers are not finite; lower {settings} "
+            "and train into another --out; the last checkpoint is kept"
+        )
+
     def _row(
         self,
         flights: Flights,
@@ -241,18 +258,30 @@ class Trainer:
         tensors, meta = checkpoint.load(path)
         checkpoint.require_same(path, meta["config"], config)
         trainer = cls(config, device, rollouts, workers)
-        trainer.population.restore(checkpoint.part(tensors, "population"))
-        trainer.learner.restore(checkpoint.part(tensors, "learner"))
-        trainer.replay.restore(checkpoint.part(tensors, "replay"))
-        trainer.generator.set_state(tensors["generator"])
-        checkpoint.restore_stream(trainer.rng, meta["rng"])
-        trainer.curve = msgspec.convert(meta["curve"], list[Row])
-        orders: list[Order] = []
-        while ordered := checkpoint.part(tensors, f"ordered{len(orders)}"):
-            orders.append(Order(trainer.network, *(ordered[name].numpy() for name in ORDERED)))
+        try:
+            orders = trainer._restore(tensors, meta)
+        except (KeyError, TypeError, ValueError, RuntimeError, msgspec.ValidationError) as error:
+            trainer.close()
+            raise UserError(
+                f"{path}: does not fit this program, or --device {device.type}: {checkpoint.said(error)}; give the "
+                "device that it was made on, or start afresh with --fresh"
+            ) from None
         if orders:
             trainer._depart(orders)
         return trainer
+
+    def _restore(self, tensors: dict[str, torch.Tensor], meta: dict[str, Any]) -> list[Order]:
+        """Take up a checkpoint; return the flights that were under way."""
+        self.population.restore(checkpoint.part(tensors, "population"))
+        self.learner.restore(checkpoint.part(tensors, "learner"))
+        self.replay.restore(checkpoint.part(tensors, "replay"))
+        self.generator.set_state(tensors["generator"])
+        checkpoint.restore_stream(self.rng, meta["rng"])
+        self.curve = msgspec.convert(meta["curve"], list[Row])
+        orders: list[Order] = []
+        while ordered := checkpoint.part(tensors, f"ordered{len(orders)}"):
+            orders.append(Order(self.network, *(ordered[name].numpy() for name in ORDERED)))
+        return orders
 
 
 def train(

@@ -57,14 +57,21 @@ class FlightWorker:
 
     def start(self, orders: list[Order]) -> None:
         """Order flights; return at once."""
-        self._pipe.send(orders)
+        try:
+            self._pipe.send(orders)
+        except OSError:
+            raise self._ended() from None
 
     def result(self) -> list[Flights]:
         """Wait for the flights that were ordered."""
         try:
             return self._pipe.recv()
-        except EOFError:
-            raise UserError("the process that flies ended before its flights; the same command goes on") from None
+        except (EOFError, OSError):
+            raise self._ended() from None
+
+    @staticmethod
+    def _ended() -> UserError:
+        return UserError("the process that flies ended before its flights; the same command goes on")
 
     def close(self) -> None:
         """End the process."""

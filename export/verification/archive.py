@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import time
+import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,12 +20,14 @@ from ribs.schedulers import Scheduler
 from rich.console import Console
 
 from export.network import Layer, Network
-from export.training.checkpoint import atomic
+from export.training.checkpoint import said
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import GymnasiumRollouts
 from export.verification.lander import ID
 from task.config import Settings
 from task.errors import UserError
+from task.files import atomic, make_folder
+from understudy import run, stopping
 
 CHECKPOINT, ELITES = "scheduler.pickle", "elites.npz"
 N_SEEN, N_ACTED = 8, 2
@@ -166,8 +169,10 @@ class Search:
         try:
             with (folder / CHECKPOINT).open("rb") as file:
                 saved, progress, scheduler = pickle.load(file)
-        except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ValueError) as error:
-            raise UserError(f"{folder / CHECKPOINT}: not a checkpoint of this search: {error}; use --fresh") from None
+        except Exception as error:  # what is unpickled may raise anything
+            raise UserError(
+                f"{folder / CHECKPOINT}: not a checkpoint of this search: {said(error)}; use --fresh"
+            ) from None
         if saved != msgspec.to_builtins(settings):
             raise UserError(f"{folder}: made with {saved}, now {settings}; give another --out, or --fresh")
         search = cls(settings)
@@ -182,8 +187,10 @@ def load_elites(folder: Path) -> Elites:
             iterations, episodes, frames, seconds = file["progress"]
             progress = Progress(int(iterations), int(episodes), int(frames), float(seconds))
             return Elites(file["weights"], file["returns"], file["behaviour"], progress)
-    except (OSError, KeyError, ValueError) as error:
-        raise UserError(f"{folder}: no archive of landers ({error}); python -m export.verification.archive") from None
+    except (OSError, KeyError, ValueError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(
+            f"{folder}: no archive of landers ({said(error)}); make one with python -m export.verification.archive"
+        ) from None
 
 
 @click.command()
@@ -191,9 +198,10 @@ def load_elites(folder: Path) -> Elites:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs/lunar_archive"), show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the emitters.")
 @click.option("--resume/--fresh", default=True, show_default=True, help="Go on from a checkpoint in --out.")
+@stopping("the same command goes on")
 def main(iterations: int, out: Path, seed: int, resume: bool) -> None:
     """Fill an archive of linear landers by CMA-ME; Ctrl-C at any time, the same command goes on."""
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out, "--out")
     settings = ArchiveSettings(seed=seed)
     search = Search.resume(out, settings) if resume and (out / CHECKPOINT).exists() else Search(settings)
     console = Console(soft_wrap=True)
@@ -212,4 +220,4 @@ def main(iterations: int, out: Path, seed: int, resume: bool) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run("export.verification.archive:main")

@@ -65,10 +65,12 @@ class Lander(gymnasium.Wrapper[State, np.ndarray, State, np.ndarray]):
 class NoisyPosition(gymnasium.Wrapper[State, np.ndarray, State, np.ndarray]):
     """F1: zero-mean Gaussian noise on the observed x and y; a function of the episode's seed."""
 
+    _rng: np.random.Generator | None = None
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[State, dict[str, Any]]:
         """Start an episode."""
         s, info = self.env.reset(seed=seed, options=options)
-        if seed is not None:
+        if seed is not None or self._rng is None:
             self._rng = np.random.default_rng(seed)
         return self._disturb(s), info
 
@@ -78,6 +80,7 @@ class NoisyPosition(gymnasium.Wrapper[State, np.ndarray, State, np.ndarray]):
         return self._disturb(s), float(reward), terminated, truncated, info
 
     def _disturb(self, s: State) -> State:
+        assert self._rng is not None, "an episode begins with a reset"
         s = s.copy()
         s[[X, Y]] += (POSITION_NOISE * self._rng.standard_normal(2)).astype(s.dtype)
         return s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +11,11 @@ import msgspec
 import numpy as np
 
 from export.network import Network
-from export.training.checkpoint import atomic
 from export.training.config import EnvironmentSettings
 from export.training.gymnasium_rollouts import SEEDS, GymnasiumRollouts
 from export.verification.lander import FAULTS, ID, Fault
+from task.errors import UserError
+from task.files import atomic, make_folder
 
 TOGETHER = 100
 """Landers that fly side by side, and are remembered together."""
@@ -51,7 +53,7 @@ class Grounds:
     def __init__(self, memory: Path) -> None:
         """Make the environments; ``memory`` is the folder, made as needed."""
         self._memory = memory
-        memory.mkdir(parents=True, exist_ok=True)
+        make_folder(memory, "--memory")
         self._rollouts = {
             fault: GymnasiumRollouts(EnvironmentSettings(id=ID, arguments={"fault": fault})) for fault in FAULTS
         }
@@ -78,9 +80,13 @@ class Grounds:
             what.update(part)
         path = self._memory / f"{what.hexdigest()[:20]}.npz"
         if path.exists():
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                self.recalled += file["returns"].size
-                return Landed(file["returns"], file["behaviour"])
+            try:
+                with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+                    landed = Landed(file["returns"], file["behaviour"])
+            except (OSError, ValueError, AttributeError, KeyError, EOFError, zipfile.BadZipFile):
+                raise UserError(f"{path}: holds no flights; delete it, and they are flown again") from None
+            self.recalled += landed.returns.size
+            return landed
         rollouts = self._rollouts[fault]
         flights = rollouts.fly(network, parameters, tasks)
         landed = Landed(flights.returns(), rollouts.attribute("impact", flights.length.shape))

@@ -13,10 +13,14 @@ import export.folder
 import export.manifest
 import runtime.manifest
 import runtime.population
+from export.card import card
+from export.golden import golden_actions
 from export.network import Layer, Network, forward, unflatten
+from export.population import Description, Population
 from export.rollout import rollout
 from runtime.imagination import Imagination, Snapshot
 from runtime.population import BehaviouralPolicy, load_population
+from task.config import load_json
 from task.errors import UserError
 from task.model import embed_reduced
 from task.reference import random_reference
@@ -121,3 +125,36 @@ def test_shipped_populations_load_and_are_whole(folder):
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert set(population.manifest.files) == files - {"manifest.json"}
     assert export.manifest.file_hashes(folder) == population.manifest.files
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda p: p.name)
+def test_shipped_golden_samples_see_the_parameters_of_every_member(folder):
+    """They are those that an export makes today, the smaller ones included."""
+    manifest = load_json(folder / "manifest.json", export.manifest.Manifest)
+    description = Description(network=manifest.network, members=manifest.members, champion=manifest.champion)
+    made = golden_actions(Population(description, np.load(folder / "parameters.npy")))
+    shipped = manifest.golden_actions
+    assert shipped.observations == made.observations
+    np.testing.assert_allclose(shipped.actions, made.actions, atol=1e-12)
+    away = np.abs(np.array(shipped.actions) - manifest.network.action_offset)
+    assert (away < 0.9 * np.abs(manifest.network.action_scale)).any(axis=1).all()
+
+
+@pytest.mark.parametrize("folder", SHIPPED, ids=lambda p: p.name)
+def test_shipped_cards_say_what_an_export_says_today(folder):
+    """All but the screening, whose flights are not kept; of it the members' figures, which the manifest has too."""
+    manifest = load_json(folder / "manifest.json", export.manifest.Manifest)
+    description = Description(
+        network=manifest.network, members=manifest.members, champion=manifest.champion, training=manifest.training
+    )
+    population = Population(description, np.load(folder / "parameters.npy"))
+    written = card(population, manifest.name, manifest.exported_with, None)
+    shipped = (folder / "MODEL_CARD.md").read_text()
+    assert shipped.partition("## Screening")[0] == written.partition("## Screening")[0]
+    rows = {cells[0]: cells[1:] for line in shipped.splitlines() if len(cells := line.strip("| ").split(" | ")) == 6}
+    for member in manifest.members:
+        passed, error, _, lost, verdict = rows[member.name]
+        assert int(passed) == member.scores["screening_cases_passed"]
+        assert float(error) == pytest.approx(member.scores["screening_nominal_nmae"], abs=0.006)
+        assert int(lost) == member.scores["screening_lost"]
+        assert verdict == manifest.training["screening"]["verdicts"][member.name]

@@ -38,6 +38,29 @@ def free_port():
         return probe.getsockname()[1]
 
 
+def check_what_is_typed(binaries, elsewhere, environment):
+    """The one command is there, and what the offline side needs is said in one line, however it is asked for."""
+
+    def typed(*command):
+        return subprocess.run(
+            [binaries / command[0], *command[1:]], cwd=elsewhere, env=environment, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+
+    version = typed("understudy", "--version")
+    assert version.returncode == 0, version.stderr
+    for command, extra in (
+        (("understudy", "train", "small"), "export"),
+        (("understudy", "fly", "cg_shift"), "sim"),
+        (("python", "-m", "export.study", "sweep"), "export"),
+        (("python", "-m", "scenarios.campaign"), "sim"),
+        (("python", "-m", "sim_bridge"), "sim"),
+    ):
+        done = typed(*command)
+        assert done.returncode == 2, done.stderr
+        assert re.fullmatch(rf"understudy: .* needs \w+, which is not installed; .*\[{extra}\]'\n", done.stderr)
+
+
 def test_the_base_install_flies_without_torch_and_jsbsim(tmp_path, population_folder):
     """A fresh environment with what `pip install understudy` brings; it needs the package index."""
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "bare"], check=True)
@@ -48,6 +71,7 @@ def test_the_base_install_flies_without_torch_and_jsbsim(tmp_path, population_fo
     missing = f"import importlib.util as u; print([m for m in {OFFLINE!r} if u.find_spec(m)])"
     found = subprocess.run([python, "-c", missing], cwd=tmp_path, env=environment, capture_output=True, check=True)
     assert found.stdout.strip() == b"[]"
+    check_what_is_typed(python.parent, tmp_path, environment)
 
     port = free_port()
     log = tmp_path / "f.ulg"

@@ -124,6 +124,13 @@ def test_configurations_are_checked():
         CastSettings(name="x", layers=(Layer(units=4), Layer(units=3)), main=SearchSettings(symmetric=True))
     with pytest.raises(ValueError, match="expected cases of the thesis, got F9"):
         CastSettings(name="x", bred_for=("F9",))
+    for last in (
+        Layer(units=4),
+        Layer(units=3, activation="relu"),
+        Layer(units=3, layer_norm="standard"),
+    ):
+        with pytest.raises(ValueError, match="layers: expected a last layer of 3 units, tanh or linear, without"):
+            CastSettings(name="x", layers=(Layer(units=4), last))
     for wrong, said in (
         ({"seed": -1}, "expected `int` >= 0, got -1"),
         ({"trial": {"onset": [5.0, 1.5]}}, r"onset: expected two numbers in order, from 0 on, got \[5, 1\.5\]"),
@@ -150,3 +157,26 @@ def test_who_stops_a_run_is_told_how_to_go_on(minutes, code, tmp_path, monkeypat
         signal.signal(signal.SIGINT, before)
     assert done.exit_code == code
     assert "the same command goes on" in done.output
+
+
+def test_a_run_goes_on_with_its_own_configuration(tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text('name = "own"')
+    for _ in range(2):
+        done = CliRunner().invoke(main, ["breed", "--config", str(config), "--out", str(tmp_path), "--minutes", "0"])
+        assert done.exit_code == 3, done.output
+    assert config.read_text() == 'name = "own"'
+
+
+def test_cases_whose_files_would_be_one_are_refused(tmp_path):
+    cases = tuple(Case(name=name) for name in ("rudder -1", "rudder_-1"))
+    with pytest.raises(UserError, match="got rudder -1 and rudder_-1; rename one"):
+        Breeder(msgspec.structs.replace(SMALL, cases=cases), tmp_path)
+
+
+def test_a_network_that_cannot_fly_is_not_bred(tmp_path):
+    layers = (Layer(units=0), *SMALL.layers)
+    settings = msgspec.structs.replace(SMALL, layers=layers, main=SearchSettings(population=4), input_scale=(1.0,) * 7)
+    with pytest.raises(UserError, match=r"small: network.layers\[0\].units: expected at least 1"):
+        Breeder(settings, tmp_path / "run")
+    assert not any(tmp_path.iterdir())

@@ -128,3 +128,50 @@ def test_a_reward_that_is_no_number_is_refused() -> None:
     rollouts = GymnasiumRollouts(EnvironmentSettings(id="test/Countdown-v0", ticks=6, arguments={"unsound": True}))
     with pytest.raises(UserError, match="not finite"):
         rollouts.fly(*bias_only(0.0, rollouts), np.array([1]))
+
+
+class Broken(Countdown):
+    """Fails where it is told to."""
+
+    def __init__(self, where: str) -> None:
+        if where == "made":
+            raise AttributeError("no display\nat all")
+        super().__init__()
+        self.where = where
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        if self.where == "reset":
+            raise KeyError("seed")
+        seen, info = super().reset(seed=seed)
+        return (seen[:1] if self.where == "seen" else seen), info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        if self.where == "step":
+            raise RuntimeError("the engine is on fire")
+        seen, *rest = super().step(action)
+        return (np.zeros(3, dtype=np.float32) if self.where == "grown" else seen), *rest
+
+
+gymnasium.register("test/Broken-v0", entry_point=Broken)
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ("made", r"gymnasium cannot make it: AttributeError: no display \(.*test_gymnasium_rollouts\.py, line \d+\)"),
+        ("reset", r"reset failed: KeyError: 'seed' \(.*test_gymnasium_rollouts\.py, line \d+\)"),
+        ("seen", r"expected observations of shape \(2,\), as its observation_space says, got \(1,\)"),
+        ("step", r"step 1 of an episode failed: RuntimeError: the engine is on fire \(.*test_gymnasium_rollouts\.py"),
+        ("grown", r"step 1 of an episode failed: ValueError: could not broadcast"),
+    ],
+)
+def test_an_environment_that_fails_is_one_line(where: str, message: str) -> None:
+    def fly() -> None:
+        rollouts = GymnasiumRollouts(EnvironmentSettings(id="test/Broken-v0", ticks=6, arguments={"where": where}))
+        rollouts.fly(*bias_only(0.0, rollouts), np.array([1]))
+
+    with pytest.raises(UserError, match=rf"environment 'test/Broken-v0': {message}") as refused:
+        fly()
+    assert "\n" not in str(refused.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ import onnx
 import pytest
 
 from export import folder as folder_module
-from export.folder import write_population
+from export.folder import check_place, write_population
 from export.golden import GOLDEN_OBSERVATIONS, golden_actions
 from export.manifest import observation_layout
 from export.network import Layer, Network, n_parameters
@@ -127,3 +128,38 @@ def test_members_of_high_gain_are_asked_smaller_observations_in_which_every_para
         other[1, k] += 1.0
         changed = np.abs(np.array(golden_actions(Population(description, other)).actions)[1] - golden.actions[1])
         assert changed.max() > golden.tolerance
+
+
+def test_parameters_beyond_single_precision_are_the_member_s_fault(tmp_path, make_actors, short_prior):
+    population = make_actors(Network(layers=(Layer(units=8, layer_norm="standard"), Layer(units=3))))
+    parameters = population.parameters.copy()
+    parameters[2] *= 1e30
+    with pytest.raises(UserError, match=r"member 'actor-2': in single precision .* its largest parameter is \d.*e\+30"):
+        write_population(population._replace(parameters=parameters), short_prior, tmp_path / "cast")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_population_is_put_back_when_the_new_one_cannot_take_its_place(
+    tmp_path, make_actors, short_prior, monkeypatch
+):
+    target = tmp_path / "cast"
+    write_population(make_actors(SMALL, seed=1), short_prior, target)
+    before = {p.name: p.read_bytes() for p in target.iterdir()}
+    rename = Path.rename
+
+    def refusing(path, other):
+        if path.name == "new":
+            raise OSError(16, "Device or resource busy")
+        return rename(path, other)
+
+    monkeypatch.setattr(Path, "rename", refusing)
+    with pytest.raises(UserError, match=r"cast: cannot be written: Device or resource busy"):
+        write_population(make_actors(SMALL, seed=2), short_prior, target)
+    assert {p.name: p.read_bytes() for p in target.iterdir()} == before
+
+
+@pytest.mark.parametrize("folder", [".", "..", "../.."])
+def test_a_population_needs_a_name(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="expected a folder named as the population"):
+        check_place(Path(folder))

@@ -55,6 +55,9 @@ def test_flat_parameters_and_tensors_are_the_same(make_actors):
         (lambda f: edit(f, colour="red"), "unknown field `colour`"),
         (lambda f: edit(f, champion="nobody"), "champion: expected a member's name, got 'nobody'"),
         (lambda f: edit(f, members=[]), "members: expected at least one"),
+        (lambda f: edit(f, members=[{"name": "a"}] * 2), r"members: expected .* unique names, got \['a'\]$"),
+        (lambda f: edit(f, members=[{"name": ""}]), "members: expected names in one line of printable text, got ''"),
+        (lambda f: edit(f, members=[{"name": "a\nb"}]), r"members: expected names in one line .*, got 'a\\nb'"),
         (lambda f: edit(f, members=[{"name": "a"}], champion="a"), r"expected float32 \(1, 179\)"),
         (lambda f: np.save(f / "parameters.npy", np.zeros((4, 179))), r"got float64 \(4, 179\)"),
         (lambda f: np.save(f / "parameters.npy", np.full((4, 179), np.nan, np.float32)), "'actor-0' are not finite"),
@@ -139,3 +142,29 @@ def test_the_command_refuses_unknown_prior_settings(run, tmp_path):
 def test_the_command_says_before_its_flights_that_it_cannot_write(run):
     with pytest.raises(UserError, match="/proc/x: /proc: cannot be written"):
         click.testing.CliRunner().invoke(export, [str(run), "/proc/x"], catch_exceptions=False)
+
+
+def test_a_run_that_is_cut_short_while_it_is_written_is_not_taken_for_one(run, make_actors, monkeypatch):
+    """The old description must not stand beside new parameters."""
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(UserError, match=r"parameters\.npy: cannot be written: No space left on device"):
+        save_run(make_actors(NETWORK, seed=3), run)
+    monkeypatch.undo()
+    with pytest.raises(UserError, match=r"population\.json: no such description"):
+        load_run(run)
+    save_run(make_actors(NETWORK, seed=3), run)
+    np.testing.assert_array_equal(load_run(run).parameters, make_actors(NETWORK, seed=3).parameters)
+
+
+def test_the_command_says_before_its_flights_whom_single_precision_does_not_fly(run, tmp_path):
+    np.save(run / "parameters.npy", np.load(run / "parameters.npy") * np.float32(1e30))
+    out = tmp_path / "cast"
+    result = click.testing.CliRunner().invoke(export, [str(run), str(out)])
+    assert isinstance(result.exception, UserError)
+    assert "member 'actor-0': in single precision" in str(result.exception)
+    assert "model prior" not in result.output
+    assert not out.exists()

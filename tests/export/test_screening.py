@@ -132,3 +132,20 @@ def test_settings_that_mean_nothing_are_refused_before_anything_is_flown(tmp_pat
     arguments = [str(tmp_path / "run"), str(tmp_path / "out"), "--screening", str(tmp_path / "screening.toml")]
     with pytest.raises(UserError, match="references"):
         click.testing.CliRunner().invoke(export, arguments, catch_exceptions=False)
+
+
+def test_flights_that_are_damaged_are_named(tmp_path):
+    screen(cast(), QUICK, tmp_path, lambda done: None)
+    spoilt = sorted(tmp_path.iterdir())[0]
+    spoilt.write_bytes(spoilt.read_bytes()[:200])
+    with pytest.raises(UserError, match=rf"{spoilt.name}: holds no flights; delete it"):
+        screen(cast(), QUICK, tmp_path, lambda done: None)
+
+
+def test_a_name_with_a_bar_in_it_stays_in_its_column(seen):
+    renamed = cast()
+    members = tuple(replace(member, name=f"a|{member.name}") for member in renamed.description.members)
+    renamed = renamed._replace(description=replace(renamed.description, members=members, champion="a|tracks"))
+    rows = [line for line in card(renamed, "four", {}, seen).splitlines() if "a\\|" in line or "a|" in line]
+    assert len(rows) > len(members)
+    assert all("a|" not in row for row in rows if row.startswith("|"))

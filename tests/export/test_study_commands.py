@@ -195,3 +195,18 @@ def test_curves_and_smoothness_read_finished_runs(tmp_path, monkeypatch, quick):
 def test_a_folder_without_a_curve_is_named(tmp_path):
     with pytest.raises(UserError, match=r"learning_curve\.csv: no learning curve of a training run"):
         short.read_curve(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("members", "arguments", "message"),
+    [
+        ({"td3": 1.0}, ["table71", "cast"], "cast: no genetic actors; expected a population"),
+        ({"a": 4.0, "td3": 1.0}, ["table71", "cast", "--td3", "cast"], "--td3 cast: is the population itself"),
+        ({"a": 4.0}, ["curves", "cast"], "cast: no member 'td3'; expected a run of 'understudy train'"),
+    ],
+)
+def test_a_run_that_lacks_who_is_compared_is_named(members, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    saved(tmp_path / "cast", next(iter(members)), **members)
+    with pytest.raises(UserError, match=message):
+        CliRunner().invoke(study, arguments, catch_exceptions=False)

@@ -9,7 +9,9 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,7 +26,9 @@ from export.training.cli import train as command
 from export.training.config import CONFIGS, TrainingConfig, as_toml, load
 from export.training.curve import Row, draw, write_csv
 from export.training.rollouts import discounted_penalty
+from export.training.run import start
 from export.training.train import CHECKPOINT, Trainer
+from export.training.worker import FlightWorker
 from task.errors import UserError
 
 TINY = """
@@ -175,6 +179,82 @@ def test_a_damaged_checkpoint_is_one_line(tiny: Path, tmp_path: Path) -> None:
             invoke(tiny, "--out", folder)
 
 
+def rewritten(path: Path, spoil: Callable[[dict[str, np.ndarray], dict[str, Any]], object]) -> None:
+    """Save a checkpoint again with ``spoil`` done to its arrays and to what it says of itself."""
+    tensors, meta = checkpoint.load(path)
+    spoil(tensors, meta)
+    checkpoint.save(path, tensors, meta)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda tensors, meta: tensors.pop("generator"), "KeyError 'generator'"),
+        (lambda tensors, meta: tensors.pop("learner.updates"), "KeyError 'updates'"),
+        (lambda tensors, meta: tensors.update({"population.parameters": torch.zeros(2, 3)}), "size of tensor"),
+        (lambda tensors, meta: tensors.update(generator=torch.zeros(16, dtype=torch.uint8)), "--device cpu"),
+        (lambda tensors, meta: meta.pop("rng"), "KeyError 'rng'"),
+        (lambda tensors, meta: meta["curve"][0].pop("q"), "missing required field `q`"),
+        (lambda tensors, meta: meta.pop("config"), "not a checkpoint of a training run: KeyError 'config'"),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_one_line(
+    spoil: Callable[[dict[str, np.ndarray], dict[str, Any]], object], message: str, tiny: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    invoke(tiny, "--out", folder, "--frames", 500)
+    rewritten(folder / CHECKPOINT, spoil)
+    before = (folder / CHECKPOINT).read_bytes()
+    with pytest.raises(UserError, match=rf"checkpoint\.npz: .*{message}.*--fresh") as refused:
+        invoke(tiny, "--out", folder)
+    assert "\n" not in str(refused.value)
+    assert (folder / CHECKPOINT).read_bytes() == before
+
+
+def test_a_population_without_a_checkpoint_is_not_overwritten_unasked(tiny: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    invoke(tiny, "--out", folder, "--frames", 500)
+    (folder / CHECKPOINT).unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(UserError, match=r"holds a population, but no checkpoint\.npz .*--fresh"):
+        invoke(tiny, "--out", folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    invoke(tiny, "--out", folder, "--frames", 500, "--fresh")
+
+
+def test_while_a_run_is_overwritten_the_old_population_is_not_taken_for_its_own(tiny: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    invoke(tiny, "--out", folder, "--frames", 500)
+    config = load(str(tiny))
+    start(msgspec.structs.replace(config, seed=4), folder, CPU, resume=False)
+    with pytest.raises(UserError, match=r"population\.json: no such description"):
+        load_run(folder)
+
+
+def test_a_learner_that_diverges_is_one_line_and_costs_no_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "wild.toml"
+    text = TINY.replace("[td3]", "[td3]\nreward_scale = 1e29").replace(
+        "learning_starts = 200", "learning_starts = 1500"
+    )
+    path.write_text(text)
+    folder = tmp_path / "run"
+    with pytest.raises(UserError, match=r"generation \d+: the TD3 learner diverged.*lower td3\.learning_rate"):
+        invoke(path, "--out", folder)
+    assert Trainer.resume(folder / CHECKPOINT, load(str(path)), CPU).frames > 0
+
+
+@pytest.mark.parametrize("option", ["--seed", "--frames"])
+def test_numbers_that_a_configuration_could_not_hold_are_refused(option: str, tiny: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(command, [str(tiny), "--out", str(tmp_path / "run"), option, str(2**31)])
+    assert result.exit_code == 2
+    assert f"'{option}'" in result.output
+
+
+def test_a_folder_that_takes_no_files_is_one_line(tiny: Path) -> None:
+    with pytest.raises(UserError, match=r"--out: /proc/self/fdinfo: cannot be written"):
+        invoke(tiny, "--out", "/proc/self/fdinfo")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -188,6 +268,12 @@ def test_a_damaged_checkpoint_is_one_line(tiny: Path, tmp_path: Path) -> None:
         ("buffer", r"got 100000000000.* - at `\$\.td3\.buffer`"),
         ("rate", r"expected a finite number, got inf - at `\$\.td3\.learning_rate`"),
         ("offset", r"expected a finite number, got nan - at `\$\.actor\.action_offset\[1\]`"),
+        ("nameless", r"got '' - at `\$\.name`"),
+        ("escaping", r"got '\.\./tiny' - at `\$\.name`"),
+        ("never", r"td3\.buffer: expected more than td3\.learning_starts = 2000, .*got 2000"),
+        ("forgetful", r"genetic\.memory: expected more than genetic\.mutation_batch = 16, .*got 16"),
+        ("narrow", r"actor\.width: expected at least 2 units"),
+        ("constant", r"td3\.critic_layers: expected at least 2 units"),
     ],
 )
 def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Path) -> None:
@@ -201,6 +287,12 @@ def test_bad_configurations_name_the_key(change: str, message: str, tmp_path: Pa
         "buffer": TINY.replace("buffer = 2000", "buffer = 100_000_000_000"),
         "rate": TINY.replace("[td3]", "[td3]\nlearning_rate = inf"),
         "offset": TINY.replace("[actor]", "[actor]\naction_offset = [0.0, nan, 0.0]"),
+        "nameless": TINY.replace('"tiny"', '""'),
+        "escaping": TINY.replace('"tiny"', '"../tiny"'),
+        "never": TINY.replace("learning_starts = 200", "learning_starts = 2000"),
+        "forgetful": TINY.replace("memory = 200", "memory = 16"),
+        "narrow": TINY.replace("width = 8", "width = 1"),
+        "constant": TINY.replace("critic_layers = [8, 8]", "critic_layers = [8, 1]"),
         "scale": TINY.replace("input_scale = [8.0, ", "input_scale = ["),
     }
     path = tmp_path / "bad.toml"
@@ -252,6 +344,16 @@ def test_flights_in_a_worker_change_nothing(tmp_path: Path) -> None:
         t.close()
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     torch.testing.assert_close(ends[0][1], ends[1][1], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("asked", ["start", "result"])
+def test_a_worker_that_was_killed_is_one_line(asked: str) -> None:
+    worker = FlightWorker(overlapping().task, discount_penalty=True)
+    worker._process.kill()
+    worker._process.join()
+    with pytest.raises(UserError, match="the process that flies ended before its flights; the same command goes on"):
+        worker.start([]) if asked == "start" else worker.result()
+    worker.close()
 
 
 def test_a_run_killed_while_its_worker_flies_goes_on(tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -19,6 +22,8 @@ from export.verification.measure import command as measure
 from export.verification.trials import Cast, Grounds, choose, worst_case
 from task import results
 from task.errors import UserError
+
+ROOT = Path(__file__).parents[2]
 
 
 def play(env: gymnasium.Env[np.ndarray, np.ndarray], actions: np.ndarray, seed: int = 4) -> tuple[np.ndarray, ...]:
@@ -196,3 +201,32 @@ def test_an_archive_that_is_not_there_is_named(tmp_path: Path) -> None:
     (tmp_path / archive.CHECKPOINT).write_bytes(b"no pickle")
     with pytest.raises(UserError, match="not a checkpoint"):
         Search.resume(tmp_path, ArchiveSettings())
+    (tmp_path / archive.ELITES).write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(UserError, match="no archive of landers"):
+        load_elites(tmp_path)
+
+
+def test_the_archive_s_command_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / archive.CHECKPOINT).write_bytes(b"no pickle")
+    command = [sys.executable, "-m", "export.verification.archive", "--iterations", "1", "--out", tmp_path]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"understudy: .*scheduler\.pickle: not a checkpoint of this search: .*use --fresh\n", done.stderr
+    )
+
+
+def test_landings_that_are_damaged_are_named(tmp_path: Path) -> None:
+    cast, tasks = Cast(LINEAR, linear(np.zeros((1, 2, 8)))), np.array([3])
+    Grounds(tmp_path).land(cast, "none", tasks)
+    (kept,) = tmp_path.iterdir()
+    kept.write_bytes(kept.read_bytes()[:100])
+    with pytest.raises(UserError, match=rf"{kept.name}: holds no flights; delete it"):
+        Grounds(tmp_path).land(cast, "none", tasks)
+
+
+def test_a_noisy_lander_flies_without_a_seed_too() -> None:
+    env = lander("noisy_position")
+    s, _ = env.reset()
+    assert np.isfinite(env.step(np.zeros(2, dtype=np.float32))[0]).all()
+    assert np.isfinite(s).all()
