@@ -184,7 +184,7 @@ class IncrementalModel:
                     "export it again, or fly --preset understudy"
                 )
             self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
-        self.quiet: StateFilter | None = None
+        self.state_filter: StateFilter | None = None
         """The filter of the other states; None without one of the effectiveness."""
         self._schedule: tuple[Condition, RateModel] | None = None
         """Where the prior is from, and what takes it elsewhere; None where Theta is imagined as it is."""
@@ -196,7 +196,7 @@ class IncrementalModel:
                 )
             self._schedule = learnt_at, rates
         if self.effectiveness is not None:
-            self.quiet = StateFilter(learnt_at if self._schedule else None, dt)
+            self.state_filter = StateFilter(learnt_at if self._schedule else None, dt)
         self.restart_history()
 
     def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -217,9 +217,9 @@ class IncrementalModel:
         """Start a new flight: prior, no history, nothing counted."""
         self.rls.reset()
         self.rls.skipped = self.rls.restarts = 0
-        if self.effectiveness is not None and self.quiet is not None:
+        if self.effectiveness is not None and self.state_filter is not None:
             self.effectiveness.reset()
-            self.quiet.reset()
+            self.state_filter.reset()
         self.restart_history()
 
     def restart_history(self, missed: int | None = None) -> None:
@@ -241,9 +241,9 @@ class IncrementalModel:
         else:
             self._sent = 0
             self._history.restart()
-        if self.effectiveness is not None and self.quiet is not None:
+        if self.effectiveness is not None and self.state_filter is not None:
             self.effectiveness.restart_history(commands_known=bridged)
-            self.quiet.restart()
+            self.state_filter.restart()
 
     @property
     def alarmed(self) -> bool:
@@ -266,7 +266,7 @@ class IncrementalModel:
             self.effectiveness.observe(x)
             # Theta's G stays that of healthy surfaces: it learns from what they do, not from what they are told.
             self.effectiveness.moved(self._moved_da)
-            self._quieten(x)
+            self._filter_state(x)
         np.copyto(self._x, x)
         self._states += 1
         if self._states == 1:
@@ -281,13 +281,18 @@ class IncrementalModel:
         np.copyto(self._dx, self._moved_dx)
         return learnt
 
-    def _quieten(self, x: np.ndarray) -> None:
+    def _filter_state(self, x: np.ndarray) -> None:
         """Filter the states that are no rates."""
-        found, quiet = self.effectiveness, self.quiet
-        if found is None or quiet is None or not found.known:
+        found = self.effectiveness
+        if found is None or self.state_filter is None or not found.known:
             return
         theta = embed_reduced(self.rls.Theta) if self.exact_kinematics else self.rls.Theta
-        quiet.hear(x, found.rates, found.increment, self._moved_da, theta)
+        self.state_filter.hear(x, found.rates, found.increment, self._moved_da, theta)
+
+    @property
+    def filtered(self) -> int:
+        """Return which of the states that are no rates are filtered, as bits: 1 V, 2 alpha, 4 beta, 8 phi, 16 theta."""
+        return 0 if self.state_filter is None else sum(each << i for i, each in enumerate(self.state_filter.noisy))
 
     @property
     def foretold(self) -> int:
@@ -309,9 +314,9 @@ class IncrementalModel:
         if self.foretold:
             x = x.copy()
             x[:N_IDENTIFIED] = self.snapshot().x
-        elif self.quiet is not None and self.quiet.any:
+        elif self.state_filter is not None and self.state_filter.any:
             x = x.copy()
-            self.quiet.quieten(x)
+            self.state_filter.apply(x)
         return x
 
     @property
@@ -353,14 +358,14 @@ class IncrementalModel:
             self.effectiveness.command(action)
 
     def _healthy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the last state (10,) and its increment (10,), float32, and the model (13, 10) with healthy surfaces."""
+        """Return the last state (10,) and its increment (10,), float32; the model (13, 10) with healthy surfaces."""
         theta = self.rls.Theta
         model = embed_reduced(theta) if self.exact_kinematics else theta
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
         if self.effectiveness is not None and self.effectiveness.known:
             self.effectiveness.smooth(x, dx)
-        if self.quiet is not None:
-            self.quiet.quieten(x, dx)
+        if self.state_filter is not None:
+            self.state_filter.apply(x, dx)
         if self._schedule is not None:
             learnt_at, rates = self._schedule
             acting = self._slots[-1] if self.effectiveness is None else self.effectiveness.acting

@@ -257,8 +257,9 @@ class Loop:
         self.recorder.cycle(time_usec, self.tick(sample), sample.x, command, reference, cast.blend, cast.flying, health)
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
         if self.model.effectiveness is not None:
-            self.recorder.effectiveness(time_usec, self.model.effectiveness, self.excitation.surface)
-            self.tell(sample, self.model.effectiveness)
+            found, pulsed = self.model.effectiveness, self.excitation.surface
+            self.recorder.effectiveness(time_usec, found, pulsed, self.model.filtered)
+            self.tell(sample, found)
         if played is not None:
             self.recorder.play(time_usec, played.returns, played.age, played.tick_asked, played.decision)
             if played.error:

@@ -115,6 +115,7 @@ EFFECTIVENESS = [
     ("uint8_t", "hypothesis"),
     ("float", "confidence"),
     ("uint8_t", "stuck"),
+    ("uint8_t", "filtered"),
     ("uint8_t", "excited"),
     ("float", "alpha_highest"),
 ]
@@ -238,14 +239,17 @@ class Recorder:
         """Record what the model did not foresee (eq. 8.7) and trace(P)."""
         self._log.write(self._innovation, time_usec, trace, *innovation)
 
-    def effectiveness(self, time_usec: int, found: Effectiveness, excited: int) -> None:
-        """Record what is known of the surfaces, and which has a pulse in this sample (-1: none)."""
+    def effectiveness(self, time_usec: int, found: Effectiveness, excited: int, filtered: int) -> None:
+        """Record what is known of the surfaces and sensors.
+
+        excited: the surface that has a pulse in this sample (-1: none); filtered: which states are, as bits.
+        """
         if self._effectiveness is not None:
             low, high, _ = found.actuators.tolist()
             self._log.write(
                 self._effectiveness, time_usec, *found.effectiveness, *found.sd, *found.bias, *low, *high,
                 found.unrest.noise_variance**0.5, max(found.unrest.levels), found.surprise, found.alarms,
-                found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask,
+                found.delay_samples, found.evidence.believed, found.evidence.confidence, found.stuck.mask, filtered,
                 1 << excited if excited >= 0 else 0, highest_alpha(found, self._reserve),
             )  # fmt: skip
 

@@ -41,6 +41,8 @@ class StateFilter:
     """Samples before anything is filtered."""
     CERTAIN = 4.0
     """Standard errors by which r must exceed zero."""
+    STEADY = 0.02
+    """Largest gain of d: were it as fast as the readings, gusts would be expected to go on, and look like noise."""
     WILDEST = 5.0
     """A sample counts as at most so many standard deviations: a step is no noise."""
 
@@ -69,13 +71,6 @@ class StateFilter:
         self._x = [0.0] * len(SIGNALS)
         self._z[:] = 0.0
 
-    @property
-    def noise(self) -> list[float]:
-        """Return the standard deviation of the noise of V, alpha, beta, phi, theta [m/s, rad]; 0 where it is small."""
-        return [
-            math.sqrt(-product) if noisy else 0.0 for product, noisy in zip(self._mean_product, self.noisy, strict=True)
-        ]
-
     def hear(self, x: np.ndarray, rates: np.ndarray, step: np.ndarray, da: np.ndarray, theta: np.ndarray) -> None:
         """Take the state x (>= 10,) of the next sample.
 
@@ -90,24 +85,22 @@ class StateFilter:
             expected = [dx.item(signal) for signal in SIGNALS]
             self._learn(measured, expected)
             for i, (y, d) in enumerate(zip(measured, expected, strict=True)):
-                gain = self._gains[i]
-                surprise = y - self._x[i] - d
-                if SIGNALS[i] == STATE.phi:
-                    surprise = math.remainder(surprise, 2.0 * math.pi)
-                self._x[i] = y - (1.0 - gain) * surprise
-                if i < 3:
-                    dx[SIGNALS[i]] += gain * gain / (2.0 - gain) * surprise
+                signal, gain = SIGNALS[i], self._gains[i]
+                surprise = _difference(signal, y, self._x[i] + d)
+                self._x[i] = y if gain == 1.0 else y - (1.0 - gain) * surprise
+                if signal not in _TURNING:
+                    dx[signal] += min(gain * gain / (2.0 - gain), self.STEADY) * surprise
         else:
             self._x = measured
         self._measured = measured
         dx[: STATE.r + 1] = step
         seen = x[:N_IDENTIFIED].copy()
         seen[: STATE.r + 1] = rates
-        self.quieten(seen)
+        self.apply(seen)
         phi_dot, theta_dot, _, _ = kinematic_rates(seen).tolist()
         dx[STATE.phi], dx[STATE.theta] = self._dt * phi_dot, self._dt * theta_dot
 
-    def quieten(self, x: np.ndarray, dx: np.ndarray | None = None) -> None:
+    def apply(self, x: np.ndarray, dx: np.ndarray | None = None) -> None:
         """Put what is filtered into a state (>= 10,), and into its last increment (>= 10,), in place."""
         for i, (signal, noisy) in enumerate(zip(SIGNALS, self.noisy, strict=True)):
             if noisy:
@@ -128,12 +121,10 @@ class StateFilter:
         self._seen += 1
         share = 1.0 / min(self._seen, self.MEMORY)
         for i, (y, before, d) in enumerate(zip(measured, self._measured, expected, strict=True)):
-            error = y - before - d
-            if SIGNALS[i] == STATE.phi:
-                error = math.remainder(error, 2.0 * math.pi)
+            error = _difference(SIGNALS[i], y, before + d)
             square, product = self._mean_square[i], self._mean_product[i]
             if self._seen > self.LEAST:
-                most = self.WILDEST * math.sqrt(square)
+                most = self.WILDEST * math.sqrt(max(square, self._q[i]))
                 error = min(max(error, -most), most)
             square += share * (error * error - square)
             product += share * (error * self._errors[i] - product)
@@ -144,3 +135,8 @@ class StateFilter:
                 p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r)) if r > 0.0 else q
                 self._gains[i] = p / (p + r) if self.noisy[i] else 1.0
         self.any = True in self.noisy
+
+
+def _difference(signal: int, a: float, b: float) -> float:
+    """Return a - b, of bank angles the short way round."""
+    return math.remainder(a - b, 2.0 * math.pi) if signal == STATE.phi else a - b
