@@ -179,6 +179,10 @@ class Loop:
         if not self.guard.has_command:  # the flight begins here: its first states may have been garbage
             self.reference.start(x)
         reference = self.reference.at(t)
+        if health & DOUBTFUL:  # flown on, for want of better, and not learnt from
+            self.model.restart_history(missed=0)
+            command, why = self.guard.command(self.policy.steer(x, reference))
+            return Answer(command, reference, health | why)
         self.model.observe(x)
         played = self.plays.step(self.tick(sample), t)
         if played is not None:

@@ -43,6 +43,8 @@ class StateFilter:
     """Standard errors by which r must exceed zero."""
     STEADY = 0.02
     """Largest gain of d: were it as fast as the readings, gusts would be expected to go on, and look like noise."""
+    SLOWEST = 0.03
+    """Smallest K: the model and the filtered rates are not to be trusted for longer, however noisy a signal is."""
     WILDEST = 5.0
     """A sample counts as at most so many standard deviations: a step is no noise."""
 
@@ -133,7 +135,7 @@ class StateFilter:
                 r, q = -product, self._q[i]
                 self.noisy[i] = r > q and r > self.CERTAIN * math.sqrt(share) * square
                 p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r)) if r > 0.0 else q
-                self._gains[i] = p / (p + r) if self.noisy[i] else 1.0
+                self._gains[i] = max(p / (p + r), self.SLOWEST) if self.noisy[i] else 1.0
         self.any = True in self.noisy
 
 
