@@ -27,7 +27,7 @@ from runtime.recorder import Recorder
 from runtime.reference import RecordedReference, Reference
 from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast
-from task.state import N_REFERENCE
+from task.state import N_REFERENCE, N_STATE
 
 
 class Outcome(StrEnum):
@@ -193,19 +193,19 @@ class Loop:
         return Answer(command, reference, health | why, played)
 
     def stand_in(self, health: int) -> np.ndarray | None:
-        """Return what the model foretells (10,) where a state cannot be relied upon, as long as it can; or None.
+        """Return the state (12,) that the model foretells where that of a sample cannot be relied upon, or None.
 
-        Once it no longer can, states are taken as they come until one follows the last.
+        None where it can, and once the model can no longer stand in: until one follows the last, states are then taken
+        as they come. Positions are not foretold; they are zero.
         """
-        if not health & DOUBTFUL:
-            self._lost_track = False
-        elif not self._lost_track:
+        if health & DOUBTFUL and not self._lost_track:
             foretold = self.model.coast()
             if foretold is not None:
-                return foretold
-            self._lost_track = self.model.coasting
-        if self.model.coasting:
+                return np.concatenate([foretold, np.zeros(N_STATE - len(foretold))])
+        lost = bool(health & DOUBTFUL)
+        if lost != self._lost_track or self.model.coasting:
             self.restart_histories(missed=0)
+        self._lost_track = lost
         return None
 
     def recover(self, sample: Sample, error: Exception) -> Answer:
