@@ -202,10 +202,9 @@ class Loop:
             foretold = self.model.coast()
             if foretold is not None:
                 return np.concatenate([foretold, np.zeros(N_STATE - len(foretold))])
-        lost = bool(health & DOUBTFUL)
-        if lost != self._lost_track or self.model.coasting:
+        self._lost_track = bool(health & DOUBTFUL)
+        if self.model.coasting:
             self.restart_histories(missed=0)
-        self._lost_track = lost
         return None
 
     def recover(self, sample: Sample, error: Exception) -> Answer:
