@@ -1,4 +1,4 @@
-"""What the link and the sensors may do in flight: gyros that become noisy, lost states, garbage.
+"""What the link and the sensors may do in flight: noise, lost states, garbage, no usable state at all.
 
 ``python -m bench.robustness`` flies the shipped cast with ``ensemble`` and ``structured``, and the protected INDI and a
 PID alone, through the runtime's own session; it writes ``results/robustness.json``. Nothing is wrong with the aircraft
@@ -65,12 +65,22 @@ class Case(NamedTuple):
     """Share of the states that never arrive, from the start on."""
     garbage: int = 0
     """States to which anything within ``SPREAD`` is added [samples]."""
+    blind: int = 0
+    """States that are no numbers [samples]."""
 
 
 def noisy(sd: float, end: float | None = None, gyros: tuple[str, ...] = GYROS) -> tuple[AnyFault, ...]:
     """Return gyros with noise of standard deviation sd [rad/s]."""
     return tuple(SensorNoise(start=AT, end=end, signal=signal, sd=sd) for signal in gyros)  # type: ignore[arg-type]
 
+
+VANES: tuple[AnyFault, ...] = tuple(
+    SensorNoise(start=0.0, signal=signal, sd=sd)  # type: ignore[arg-type]
+    for signal, sd in (("V", 0.5), ("alpha", 3e-3), ("beta", 3e-3))
+)
+"""Air data as noisy as vanes and pitot tubes are, from the start on."""
+LATE = Latency(start=AT, seconds=0.15)
+REVERSED = Effectiveness(start=AT, surface="elevator", factor=-1.0)
 
 CASES = {
     "nothing": Case(),
@@ -80,10 +90,14 @@ CASES = {
     "pitch gyro 0.05 rad/s": Case(noisy(0.05, gyros=("q",))),
     "garbage for 0.2 s": Case(garbage=20),
     "garbage for 2 s": Case(garbage=200),
-    "garbage from 10 s on": Case(garbage=1500),
-    "elevator x -1, 5 % of states lost": Case((Effectiveness(start=AT, surface="elevator", factor=-1.0),), 0.05),
-    "commands 150 ms late, 2 % of states lost": Case((Latency(start=AT, seconds=0.15),), 0.02),
-    "commands 150 ms late, 5 % of states lost": Case((Latency(start=AT, seconds=0.15),), 0.05),
+    "garbage from then on": Case(garbage=1500),
+    "no usable state for 1 s": Case(blind=100),
+    "vanes 3 mrad, speed 0.5 m/s": Case(VANES),
+    "vanes 3 mrad, speed 0.5 m/s, elevator x -1": Case((*VANES, REVERSED)),
+    "vanes 3 mrad, speed 0.5 m/s, commands 150 ms late": Case((*VANES, LATE)),
+    "elevator x -1, 5 % of states lost": Case((REVERSED,), 0.05),
+    "commands 150 ms late, 2 % of states lost": Case((LATE,), 0.02),
+    "commands 150 ms late, 5 % of states lost": Case((LATE,), 0.05),
     "roll gyro stuck, 3 % of states lost": Case((SensorStuck(start=AT, signal="p"),), 0.03),
 }
 
@@ -102,6 +116,7 @@ class LossyLink:
         first = round(AT / DT)
         self._added = np.zeros((samples, N_STATE))
         self._added[first : first + case.garbage] = rng.uniform(-SPREAD, SPREAD, (case.garbage, N_STATE))
+        self._added[first : first + case.blind] = np.nan
 
     def read(self, timeout: float) -> Sample | None:
         """Return the next state that arrives."""
@@ -191,7 +206,7 @@ def main(flights: int) -> None:
                   holds=not any(behind.values()))
         )  # fmt: skip
     result = Result(
-        title="Gyros that become noisy, lost states, garbage",
+        title="Noisy sensors, lost states, garbage, no state",
         command=f"python -m bench.robustness --flights {flights}",
         seconds=round(time.perf_counter() - began, 1),
         runs=flights * len(CASES) * len(WAYS),
@@ -211,6 +226,7 @@ def main(flights: int) -> None:
         notes=[
             "Sensors as in case R3; evaluation references of 25 s; the same seeds for all.",
             "nMAE of what the aircraft does, against a reference that biased sensors let nobody follow closely.",
+            "Air data are that noisy from the start on; everything else begins at 10 s.",
             "Garbage adds up to 0.2 rad/s, 10 m/s, 0.06 rad and 500 m to every state: any of them might be true.",
         ],
     )  # fmt: skip
