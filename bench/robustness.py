@@ -67,6 +67,8 @@ class Case(NamedTuple):
     """States to which anything within ``SPREAD`` is added [samples]."""
     blind: int = 0
     """States that are no numbers [samples]."""
+    outages: int = 0
+    """States that never arrive 3, 7 and 11 s later [samples]."""
 
 
 def noisy(sd: float, end: float | None = None, gyros: tuple[str, ...] = GYROS) -> tuple[AnyFault, ...]:
@@ -98,6 +100,7 @@ CASES = {
     "elevator x -1, 5 % of states lost": Case((REVERSED,), 0.05),
     "commands 150 ms late, 2 % of states lost": Case((LATE,), 0.02),
     "commands 150 ms late, 5 % of states lost": Case((LATE,), 0.05),
+    "commands 150 ms late, three outages of 0.3 s": Case((LATE,), outages=30),
     "roll gyro stuck, 3 % of states lost": Case((SensorStuck(start=AT, signal="p"),), 0.03),
 }
 
@@ -114,6 +117,8 @@ class LossyLink:
         self._lost = rng.random(samples) < case.lost
         self._lost[:5] = False
         first = round(AT / DT)
+        for after in (3.0, 7.0, 11.0):
+            self._lost[round((AT + after) / DT) :][: case.outages] = True
         self._added = np.zeros((samples, N_STATE))
         self._added[first : first + case.garbage] = rng.uniform(-SPREAD, SPREAD, (case.garbage, N_STATE))
         self._added[first : first + case.blind] = np.nan

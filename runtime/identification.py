@@ -133,8 +133,8 @@ class IncrementalModel:
     ``theta0``, ``p0`` and ``learnt_at``: the population's prior, and the flight condition that it is of.
     """
 
-    BRIDGED = 10
-    """Longest gap through which the last command is taken to have been held [samples]."""
+    BRIDGED = 0.5
+    """Longest gap through which the last command is taken to have been held [s]: so long the last gate holds it."""
     COASTS = 3.0
     """For so long the model stands in for states that cannot be used [s]."""
 
@@ -233,7 +233,7 @@ class IncrementalModel:
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
-        bridged = missed is not None and missed <= self.BRIDGED and self._sent > 0
+        bridged = missed is not None and missed * self._dt <= self.BRIDGED and self._sent > 0
         if bridged:
             held = self._slots[-1].copy()
             for _ in range(missed or 0):

@@ -100,3 +100,22 @@ def test_across_a_gap_nothing_is_foretold():
     assert model.foretold == 0
     model.observe(x)
     assert model.answered(x) is x
+
+
+@pytest.mark.parametrize(("missed", "known"), [(0, True), (30, True), (50, True), (51, False), (None, False)])
+def test_through_a_short_gap_the_last_command_is_taken_to_have_been_held(missed, known):
+    """Half a second, as long as the last gate holds it: late commands that act after the gap are known all the same."""
+    model, x = model_that_believes(0.15)
+    last = model.snapshot().commands[-1]
+    model.restart_history(missed=missed)
+    for k in range(2):
+        model.observe(x + k * 1e-6)
+        model.command(np.zeros(N_ACTION))
+    commands = model.snapshot().commands
+    np.testing.assert_array_equal(commands[-2:], 0.0)
+    if known:
+        assert model.effectiveness.known
+        held = min(missed, len(commands) - 2)
+        np.testing.assert_array_equal(commands[len(commands) - 2 - held : -2], np.tile(last, (held, 1)))
+    else:
+        np.testing.assert_array_equal(commands, 0.0)
