@@ -28,7 +28,8 @@ from runtime.recorder import BESIDE, Recorder, Summary, beside, check_writable, 
 from runtime.reference import Reference
 from runtime.switching import Cast, opposed
 from task.errors import UserError
-from task.state import N_REFERENCE, N_STATE
+from task.law_names import own_digest
+from task.state import N_REFERENCE, N_STATE, STATE
 
 
 class Flown(NamedTuple):
@@ -104,7 +105,9 @@ class Session:
         self._link, self._population, self._reference = link, population, reference
         self._configuration, self._log, self._overwrite = configuration, log, overwrite
         self._say, self._stopped = say, stopped
-        self._information = {"population_sha256": population.sha256, **(information or {})}
+        own = {name: digest for name in adaptation.laws if (digest := own_digest(name))}
+        told = {"laws_sha256": msgspec.json.encode(own).decode()} if own else {}
+        self._information = {"population_sha256": population.sha256, **told, **(information or {})}
         self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
         cast = None if isinstance(population, Solo) else population
         self._members = population.members if cast is None else members_of(cast, adaptation)
@@ -122,7 +125,7 @@ class Session:
         self._ensemble: Ensemble | None = None
         if isinstance(self._policy, BehaviouralPolicy) and adaptation.laws:
             settings = load_settings()
-            laws = [make_law(name, settings, operation.dt) for name in adaptation.laws]
+            laws = [make_law(name, settings, operation.dt, member=True) for name in adaptation.laws]
             self._policy = self._ensemble = Ensemble(self._policy, laws, self._cast, self._model)
         self._imagination: Imagines | None = (
             None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
@@ -141,7 +144,9 @@ class Session:
 
     def _rehearse(self) -> None:
         """Run every part once, so that nothing is slow the first time that it matters."""
-        self._policy.steer(np.zeros(N_STATE), np.zeros(N_REFERENCE))
+        x = np.zeros(N_STATE)
+        x[[STATE.V, STATE.h]] = 90.0, 2000.0  # somebody's law may divide by them
+        self._policy.steer(x, np.zeros(N_REFERENCE))
         if self._imagination is None:
             return
         identified = self._model.snapshot()
