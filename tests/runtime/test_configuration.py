@@ -53,6 +53,8 @@ def test_a_record_that_is_none_is_one_line(tmp_path):
         (("kappa",), "expected key=value"),
         (("kappa=2",), "kappa"),
         (("kappa=fast",), "kappa"),
+        (("excitation=5",), r"expected `float` <= 0\.17\d+ \[rad\], got 5 - at `\$\.adaptation\.excitation`"),
+        (("rate_limits=[-1]",), r"expected `float` > 0\.0 \[rad/s\], got -1 - at `\$\.adaptation\.rate_limits\[0\]`"),
         (("switch=sometimes",), "switch"),
         (("model=full",), "prior = 'population'"),
         (("prior=scheduled",), "prior = 'scheduled' needs identify = false"),
