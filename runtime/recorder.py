@@ -56,7 +56,7 @@ class Summary(msgspec.Struct, kw_only=True):
     missed: int
     """Samples that did not come in time (real time)."""
     skipped: int
-    """States that were there but older than another (real time)."""
+    """States that were there but older than another (real time, or in one datagram with it)."""
     repeated: int
     """States that came again and were answered again."""
     gaps: int
