@@ -26,7 +26,7 @@ from task.files import find_population
 from task.law_names import LAWS, OWN, why_no_law
 
 SILENT_EXIT = 3
-"""Exit code when the aircraft's side fell silent in mid-flight."""
+"""Exit code when the aircraft's side fell silent in mid-flight, or the link failed."""
 LOST_EXIT = 4
 """Exit code when the flight is over, but a log or what accompanies it could not be written whole."""
 
@@ -155,11 +155,11 @@ def main(
 
 
 def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
-    """Say in one line how it ended, and leave with 0, 3 (silence), 4 (a record is lost) or 128 + signal."""
+    """Say in one line how it ended, and leave with 0, 3 (silence, or no link), 4 (a record is lost) or 128 + signal."""
     if not flown:
         _say(f"stopped by {signal.Signals(stopped_by).name} before any state came; nothing flown")
         sys.exit(128 + stopped_by)
-    outcome, log, summary, lost = flown[-1]
+    outcome, log, summary, lost, failure = flown[-1]
     silence = link.silence() if summary.cycles else link.diagnosis()
     ended = {
         Outcome.OVER: "flight over",
@@ -167,13 +167,14 @@ def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
         Outcome.SILENT: f"the aircraft's side fell silent ({silence})",
         Outcome.STOPPED: f"stopped by {signal.Signals(stopped_by).name}" if stopped_by else "stopped",
         Outcome.REPLACED: "replaced",
+        Outcome.FAILED: f"the link failed ({failure})",
     }[outcome]
     _say(
         f"{ended} after {summary.seconds:.1f} s; {summary.cycles} cycles, {summary.switches} switches, "
         f"{summary.missed + summary.gaps} missed; "
         f"{'its record is not whole, see above: ' if lost else 'log in '}{log}"
     )
-    if outcome is Outcome.SILENT:
+    if outcome in (Outcome.SILENT, Outcome.FAILED):
         sys.exit(SILENT_EXIT)
     if outcome is Outcome.STOPPED:
         sys.exit(128 + stopped_by)

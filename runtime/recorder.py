@@ -45,7 +45,8 @@ class Summary(msgspec.Struct, kw_only=True):
     """One flight in counts and times; what depends on the wall clock is here and not in the log."""
 
     outcome: str
-    """over, lost, silent, stopped or replaced (the aircraft's side began another flight)."""
+    """over, lost, silent, stopped, replaced (the aircraft's side began another flight) or failed (the link, or the
+    runtime itself)."""
     seconds: float
     """Simulated time from the first to the last state [s]."""
     wall_seconds: float

@@ -20,7 +20,7 @@ from runtime.imagination import Imagination, Imagines, Snapshot
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.laws.solo import NoPlays, Solo
 from runtime.link import Link, Sample, Severity
-from runtime.loop import Loop, Outcome
+from runtime.loop import Loop, Outcome, in_words
 from runtime.plays import Plays
 from runtime.policy import Policy
 from runtime.population import BehaviouralPolicy, Population, probe
@@ -40,6 +40,8 @@ class Flown(NamedTuple):
     summary: Summary
     lost: tuple[str, ...] = ()
     """What of its record could not be written, and why."""
+    failure: str = ""
+    """Why the link failed, where that ended the flight."""
 
 
 def log_path(log: Path, number: int) -> Path:
@@ -170,7 +172,8 @@ class Session:
     def fly(self) -> list[Flown]:
         """Wait for the first state, and fly until there is no next flight; return every flight flown.
 
-        Raises UserError when no usable state comes within ``start_patience``, or none at all before a stop.
+        A link that fails in flight (OSError) ends it, as its outcome says. Raises UserError when no usable state comes
+        within ``start_patience``, or the link fails before one came.
         """
         operation = self._configuration.operation
         if operation.real_time:
@@ -193,7 +196,12 @@ class Session:
         deadline = time.monotonic() + self._configuration.operation.start_patience
         unusable = ""
         while time.monotonic() < deadline:
-            sample = self._link.read(0.2)
+            try:
+                sample = self._link.read(0.2)
+            except OSError as error:
+                raise UserError(
+                    f"the link failed before any state that could be flown came: {in_words(error)}"
+                ) from None
             if self._stopped():
                 return None
             if sample is None:
@@ -230,13 +238,18 @@ class Session:
             self._link, clock, self._policy, self._cast, self._model, plays, self._reference, self._guard, recorder,
             excitation, operation, members, self._say, self._stopped,
         )  # fmt: skip
-        outcome = loop.fly(first)
-        summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
-        recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
-        recorder.close(summary)
-        for line in recorder.lost:
-            self._say(line)
-        return Flown(outcome, path, summary, tuple(recorder.lost)), loop.next_flight
+        outcome = Outcome.FAILED
+        try:
+            outcome = loop.fly(first)
+        finally:  # whatever ended it, what was flown is on record
+            summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
+            if loop.failure:
+                recorder.message(loop.last.time_usec, Severity.CRITICAL, f"the link failed: {loop.failure}")
+            recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
+            recorder.close(summary)
+            for line in recorder.lost:
+                self._say(line)
+        return Flown(outcome, path, summary, tuple(recorder.lost), loop.failure), loop.next_flight
 
     def _summarise(
         self, loop: Loop, plays: Plays | NoPlays, clock: Clock, outcome: Outcome, wall_seconds: float

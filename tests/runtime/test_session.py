@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from runtime.cli import _leave
 from runtime.clock import SteppedClock
 from runtime.identification import IncrementalModel
 from runtime.link import Sample
@@ -202,6 +203,71 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     # Nothing of the first flight is left: the second is flown as if it were alone.
     np.testing.assert_array_equal(link.commands[0][:200], link.commands[1])
     assert second.summary.updates == 200 - 3
+
+
+class Broken(Exception):
+    """What no link should raise."""
+
+
+@pytest.mark.parametrize("where", ["read", "write"])
+@pytest.mark.parametrize(
+    "error", [OSError(100, "Network is down"), Broken("a defect\nof the link"), KeyboardInterrupt()]
+)
+def test_a_link_that_fails_leaves_a_whole_record(cast, plant_link, tmp_path, where, error):
+    class Failing(plant_link):
+        def read(self, timeout):
+            if self.tick == 318 and where == "read":
+                raise error
+            return super().read(timeout)
+
+        def write(self, action, time_usec):
+            if self.tick == 318 and where == "write":
+                raise error
+            super().write(action, time_usec)
+
+    log, lines = tmp_path / "f.ulg", []
+    if isinstance(error, OSError):
+        (flown,) = fly(Failing(600), cast, log, say=lines.append)
+        assert (flown.outcome, flown.failure) == (Outcome.FAILED, "OSError: [Errno 100] Network is down")
+        assert flown.lost == ()
+    else:
+        with pytest.raises(type(error)):
+            fly(Failing(600), cast, log, say=lines.append)
+    assert len(topics(log)["cycle"]["tick"]) == 318
+    messages = [m.message for m in ULog(str(log)).logged_messages]
+    assert messages[-1] == "flight ends: failed"
+    assert any("the link failed: OSError" in m for m in messages) == isinstance(error, OSError)
+    summary = json.loads((tmp_path / "f.summary.json").read_text())
+    assert (summary["outcome"], summary["cycles"]) == ("failed", 318)
+
+
+def test_a_link_that_fails_before_the_first_state_is_one_line(cast, plant_link, tmp_path):
+    link = plant_link(10)
+
+    def fails(timeout):
+        raise OSError(100, "Network is down")
+
+    link.read = fails
+    with pytest.raises(UserError, match=r"the link failed before any state .*: OSError: \[Errno 100\] Network is down"):
+        fly(link, cast, tmp_path / "f.ulg")
+
+
+def test_a_link_that_failed_is_said_and_left_with_the_code_of_silence(cast, plant_link, tmp_path, capsys):
+    class Failing(plant_link):
+        def read(self, timeout):
+            if self.tick == 50:
+                raise OSError(100, "Network is down")
+            return super().read(timeout)
+
+    link = Failing(100)
+    link.silence = lambda: ""
+    flown = fly(link, cast, tmp_path / "f.ulg")
+    with pytest.raises(SystemExit) as left:
+        _leave(flown, link, 0)
+    assert left.value.code == 3
+    said = capsys.readouterr().err
+    assert said.startswith("runtime: the link failed (OSError: [Errno 100] Network is down) after 0.5 s; 50 cycles")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(("since", "told"), [("zero", 1), ("first_state", 0)])

@@ -245,7 +245,10 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
         ({"names": "pdi", "extra": ()}, "--rows pdi: unknown row 'pdi'; choose from none"),
         ({"names": ",", "extra": ()}, "--rows ,: expected at least one row; choose from none, robust, oracle, members"),
         ({"names": "pid", "extra": ("fast",)}, "--row fast: expected NAME=PRESET"),
-        ({"names": "pid", "extra": ("fast=ensemble,horizon=inf",)}, r"expected `float` <= 60\.0, got inf.*horizon"),
+        (
+            {"names": "pid", "extra": ("fast=ensemble,horizon=inf",)},
+            r"expected `float` <= 60\.0 \[s\], got inf.*horizon",
+        ),
         ({"names": "pid", "extra": ("fast=structured,settel=1",)}, "--set settel: unknown key"),
         ({"names": "pid", "extra": ("pid=structured",)}, "--row pid: there is a row of this name"),
     ],
