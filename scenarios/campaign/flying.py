@@ -129,6 +129,8 @@ class Flyer:
                     )
                 )
             (flown,) = session.fly()
+        if flown.failure:
+            raise RuntimeError(flown.failure)
         events.check(flown.summary.switches, flown.summary.alarms)
         trace = link.course.trace()
         events.end(len(trace.x) * DT)

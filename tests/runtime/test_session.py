@@ -205,14 +205,12 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     assert second.summary.updates == 200 - 3
 
 
-class Broken(Exception):
+class BrokenError(Exception):
     """What no link should raise."""
 
 
 @pytest.mark.parametrize("where", ["read", "write"])
-@pytest.mark.parametrize(
-    "error", [OSError(100, "Network is down"), Broken("a defect\nof the link"), KeyboardInterrupt()]
-)
+@pytest.mark.parametrize("error", [OSError(100, "Network is down"), BrokenError("of it"), KeyboardInterrupt()])
 def test_a_link_that_fails_leaves_a_whole_record(cast, plant_link, tmp_path, where, error):
     class Failing(plant_link):
         def read(self, timeout):
@@ -448,6 +446,26 @@ def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):
     x = np.array(link.x)
     assert abs(x[499, STATE.phi]) < 0.02
     assert x[-1, STATE.phi] == pytest.approx(0.15, abs=0.05)
+
+
+def test_a_set_point_is_of_its_own_flight_alone(cast, plant_link, tmp_path):
+    live = LiveReference()
+    live.set(0.056, 0.15)  # before the first state: of the first flight
+
+    class Told(TwoFlights):
+        def read(self, timeout):
+            if len(self.commands) == 2 and self.now.tick == 100:
+                live.set(0.02, -0.1)
+            return super().read(timeout)
+
+    link = Told(plant_link, 2)
+    first, second = fly(link, cast, tmp_path / "f.ulg", reference=live)
+    asked = [topics(flown.log)["cycle"] for flown in (first, second)]
+    np.testing.assert_allclose(asked[0]["phi_ref"], 0.15, atol=1e-7)
+    assert asked[1]["theta_ref"][0] == pytest.approx(asked[1]["theta"][0])
+    np.testing.assert_allclose(asked[1]["phi_ref"], np.where(np.arange(200) < 100, 0.0, -0.1), atol=1e-7)
+    (third,) = fly(plant_link(20), cast, tmp_path / "f.ulg", reference=live)
+    np.testing.assert_array_equal(topics(third.log)["cycle"]["phi_ref"], 0.0)
 
 
 def test_commands_are_within_limits_whatever_the_model_says(cast, plant_link, tmp_path):
