@@ -25,7 +25,7 @@ from runtime.plays import Plays
 from runtime.policy import Policy
 from runtime.population import BehaviouralPolicy, Population, probe
 from runtime.recorder import BESIDE, Recorder, Summary, beside, check_writable, percentiles
-from runtime.reference import Reference
+from runtime.reference import LiveReference, Reference
 from runtime.switching import Cast, opposed
 from task.errors import UserError
 from task.law_names import own_digest
@@ -242,6 +242,8 @@ class Session:
         try:
             outcome = loop.fly(first)
         finally:  # whatever ended it, what was flown is on record
+            if isinstance(self._reference, LiveReference):
+                self._reference.release()
             summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
             if loop.failure:
                 recorder.message(loop.last.time_usec, Severity.CRITICAL, f"the link failed: {loop.failure}")
