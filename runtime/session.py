@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from runtime.clock import Clock, RateKeeper, SteppedClock, harden
+from runtime.clock import Clock, RateKeeper, SteppedClock, hardened
 from runtime.config import Adaptation, Configuration
 from runtime.ensemble import Ensemble
 from runtime.excitation import Excitation
@@ -176,10 +177,14 @@ class Session:
         within ``start_patience``, or the link fails before one came.
         """
         operation = self._configuration.operation
-        if operation.real_time:
-            self._real_time = harden(operation.core)
+        with ExitStack() as stack:
+            if operation.real_time:
+                self._real_time = stack.enter_context(hardened(operation.core))
             for line in self._real_time:
                 self._say(line)
+            return self._fly_all()
+
+    def _fly_all(self) -> list[Flown]:
         sample = self._first_state()
         flown: list[Flown] = []
         while sample is not None:

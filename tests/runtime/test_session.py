@@ -1,5 +1,6 @@
 """Whole flights on the plant, in process: the runtime's own parts, no sockets."""
 
+import gc
 import json
 import os
 import signal
@@ -446,6 +447,14 @@ def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):
     x = np.array(link.x)
     assert abs(x[499, STATE.phi]) < 0.02
     assert x[-1, STATE.phi] == pytest.approx(0.15, abs=0.05)
+
+
+def test_a_session_in_real_time_gives_back_what_it_took(cast, plant_link, tmp_path):
+    before = gc.isenabled(), gc.get_freeze_count(), os.sched_getscheduler(0), sys.getswitchinterval()
+    (flown,) = fly(plant_link(20), cast, tmp_path / "f.ulg", overrides=("real_time=true",))
+    assert "real time: " in flown.summary.real_time[0]
+    assert (gc.isenabled(), gc.get_freeze_count(), os.sched_getscheduler(0), sys.getswitchinterval()) == before
+    assert fly(plant_link(20), cast, tmp_path / "f.ulg")[0].summary.real_time == []
 
 
 def test_a_set_point_is_of_its_own_flight_alone(cast, plant_link, tmp_path):
