@@ -288,6 +288,8 @@ class Loop:
             if played.decision.action is not Action.KEEP:
                 self.switches += 1
                 self.say(sample, Severity.INFO, played.describe(self.members))
+        if trouble := self.recorder.trouble():
+            self.say(sample, Severity.WARNING, trouble)
         if health:
             self.report(sample, health)
 
