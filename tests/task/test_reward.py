@@ -103,3 +103,12 @@ def test_each_error_costs_at_most_a_third_and_saturates_at_30_and_sideslip_at_7_
 def test_a_lost_frame_costs_as_much_at_any_sample_time() -> None:
     assert crash_penalty(1.5, 0.02) == pytest.approx(-2.0 * 75)
     assert crash_penalty(np.array([0.0, 1.0]), 0.1) == pytest.approx([0.0, -20.0])
+
+
+def test_many_observations_at_once_are_each_of_them() -> None:
+    x, reference = np.random.default_rng(0).normal(size=(2, 5, N_STATE)), np.random.default_rng(1).normal(size=(2, 5, 3))
+    seen = observation(x, reference)
+    assert seen.shape == (2, 5, 7)
+    for place in np.ndindex(2, 5):
+        assert np.array_equal(seen[place], observation(x[place], reference[place]))
+    assert observation(x.astype(np.float32), reference.astype(np.float32)).dtype == np.float32
