@@ -161,7 +161,7 @@ def test_before_the_first_alarm_nothing_is_under_way_and_one_may_begin_at_once()
     opening.begin()
     opening.reset()
     opening.step()
-    assert not (opening.pending or opening.under_way or opening.opens or opening.closes or opening.searching)
+    assert not any((opening.pending, opening.under_way, opening.opens, opening.closes, opening.searching))
     assert opening.may_begin
     assert opening.closed
     assert not opening.again

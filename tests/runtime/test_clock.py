@@ -129,7 +129,7 @@ class System:
     def strerror(self, number):
         return f"error {number}"
 
-    def CDLL(self, name, use_errno):  # noqa: N802
+    def CDLL(self, name, use_errno):
         return self
 
     def mlockall(self, flags):

@@ -158,8 +158,8 @@ def test_rates_turn_attitude_and_flow_angles_as_kinematics_say(bank, pitch):
     states[:, STATE.V], states[:, STATE.alpha], states[:, STATE.h] = 90.0, 0.3, 2000.0
     states[:, STATE.phi], states[:, STATE.theta] = bank, pitch
     for k in (1, 2):
-        states[k, STATE.phi : STATE.h + 1] = (
-            states[k - 1, STATE.phi : STATE.h + 1] + DT * kinematic_rates(states[k - 1])
+        states[k, STATE.phi : STATE.h + 1] = states[k - 1, STATE.phi : STATE.h + 1] + DT * kinematic_rates(
+            states[k - 1]
         )
         p, q, r, _, alpha, _ = states[k - 1, : STATE.beta + 1]
         states[k, STATE.alpha] += k * DT * q

@@ -159,6 +159,13 @@ def test_a_bad_command_is_neither_held_nor_part_of_trim():
     assert guard.fallback()[0].tolist() == [0.0, 0.0, 0.0]
 
 
+def test_of_the_flight_before_no_command_is_held():
+    guard = Guard(Operation(hold_time=0.5))
+    guard.command(np.array([0.1, 0.05, -0.1]))
+    guard.reset()
+    assert guard.command(np.full(3, np.nan))[0].tolist() == [0.0, 0.0, 0.0]
+
+
 def test_a_flight_that_starts_again_holds_and_trims_as_the_first():
     outs = []
     guard = Guard(Operation(hold_time=0.05, fade_time=0.05))

@@ -79,11 +79,10 @@ class Parts:
 
     def loop(self, stopped=lambda: False, **operation):
         settings = Operation(**operation)
-        loop = Loop(
+        return Loop(
             self, self.clock, self.policy, self.cast, self.model, self.plays, self.reference, Guard(settings),
             self.recorder, self.excitation, settings, ["good", "lazy"], stopped=stopped,
         )  # fmt: skip
-        return loop
 
     def flown(self, *states, **operation):
         """Return a loop that has answered some states; what it did for the last one alone is in ``done``."""
@@ -168,7 +167,7 @@ def test_after_coasting_the_last_samples_are_forgotten():
 
 @pytest.mark.parametrize(
     ("step", "missed"),
-    [(0, 0), (5_000, 0), (5_001, None), (14_999, None), (15_000, 1), (20_000, 1), (24_000, 1), (26_000, 2), (60_000, 5)],
+    [(0, 0), (5_000, 0), (5_001, None), (14_999, None), (15_000, 1), (24_000, 1), (26_000, 2), (60_000, 5)],
 )
 def test_a_gap_is_less_than_half_or_at_least_one_and_a_half_samples(step, missed):
     parts = Parts()

@@ -340,7 +340,7 @@ def test_an_imagination_that_fails_is_counted_and_the_next_one_is_asked_for(popu
     assert (flight.plays.asked, flight.plays.failed, flight.plays.seconds) == (2, 2, [0.5])
 
 
-def test_without_a_prior_nothing_is_imagined_before_the_model_has_learnt_from_as_many_samples_as_it_has_rows(population):
+def test_without_a_prior_nothing_is_imagined_before_as_many_samples_as_the_model_has_rows(population):
     settings = msgspec.structs.replace(SETTINGS, prior="none", identify=True)
     flight = Flight(population, None, settings)
     plays = flight.plays

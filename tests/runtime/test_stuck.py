@@ -48,7 +48,7 @@ def test_symmetric_flight_is_no_stuck_sensor_and_an_angle_of_attack_that_stands_
 
 
 def looked(stuck, samples, read, step=(0.0, 0.0, 0.0), noise=1e-3):
-    """Return the sample, from 1, at which another signal is first stuck, or None; read: of the sample, (p, ..., beta)."""
+    """Return the sample, from 1, at which another signal is first stuck, or None; read(k): p, q, r, alpha, beta."""
     for k in range(1, samples + 1):
         p, q, r, alpha, beta = read(k)
         if stuck.look([p, q, r, 90.0, alpha, beta, 0.0, 0.0, 0.0, 0.0], list(step), noise):
@@ -79,7 +79,8 @@ def test_a_rate_is_stuck_once_it_should_have_moved_by_five_standard_deviations_o
 
 
 @pytest.mark.parametrize(
-    ("rates", "signal"), [((0.0, 0.101, 0.0), 3), ((0.0, 0.0, 0.101), 4), ((0.0, -0.101, 0.0), 3), ((1.0, 0.0, -0.051), 4)]
+    ("rates", "signal"),
+    [((0.0, 0.101, 0.0), 3), ((0.0, 0.0, 0.101), 4), ((0.0, -0.101, 0.0), 3), ((1.0, 0.0, -0.051), 4)],
 )
 def test_an_angle_is_stuck_once_the_rates_have_turned_the_body_by_5_mrad(rates, signal):
     def still(k):
@@ -120,7 +121,7 @@ def test_of_two_that_stand_still_the_one_that_moves_again_is_well():
 def test_what_is_stuck_is_said_once_and_another_one_again():
     stuck, told = Stuck(DT), []
     for k in range(1, 20):
-        p, q, r, alpha, beta = moving(k)
+        _, q, r, alpha, beta = moving(k)
         r = 0.2 if k >= 8 else r
         told.append(stuck.look([0.1, q, r, 90.0, alpha, beta, 0, 0, 0, 0], [1.0, 0.0, 1.0], 1e-3))
     assert [k for k, each in enumerate(told, 1) if each] == [4, 11]

@@ -106,7 +106,8 @@ def test_a_lost_frame_costs_as_much_at_any_sample_time() -> None:
 
 
 def test_many_observations_at_once_are_each_of_them() -> None:
-    x, reference = np.random.default_rng(0).normal(size=(2, 5, N_STATE)), np.random.default_rng(1).normal(size=(2, 5, 3))
+    rng = np.random.default_rng(0)
+    x, reference = rng.normal(size=(2, 5, N_STATE)), rng.normal(size=(2, 5, 3))
     seen = observation(x, reference)
     assert seen.shape == (2, 5, 7)
     for place in np.ndindex(2, 5):
