@@ -182,3 +182,10 @@ def test_steep_means_a_cosine_of_pitch_below_0_3_either_way_up():
         states[5:, STATE.phi] += 0.4
         states[5:, STATE.psi] += 0.4
         assert (refused(states) == []) is steep
+
+
+def test_jumps_are_measured_the_short_way_round_the_whole_turn():
+    for size in (2.0 / np.pi, 1.0, 3.0):
+        assert sideways(phi=size, theta=0.1) == FEW
+    assert sideways(phi=2.0 * np.pi, psi=-2.0 * np.pi) == []
+    assert sideways(phi=0.1, V=2.0) == []
