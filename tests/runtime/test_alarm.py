@@ -219,3 +219,12 @@ def test_at_the_start_of_a_flight_a_healthy_aircraft_is_recalled():
     np.testing.assert_array_equal(past.before(), healthy)
     past.recall(False)
     np.testing.assert_array_equal(past.long_ago, healthy)
+
+
+def test_filters_open_a_sample_after_the_alarm_at_the_soonest_and_close_one_after_that():
+    opening = Opening(replace(TIMES, open_after=1e-4, open_time=1e-4), DT)
+    opening.begin()
+    opening.step()
+    assert opening.opens
+    opening.step()
+    assert opening.closes
