@@ -50,7 +50,7 @@ def smoothness(actions: np.ndarray, dt: float = DT) -> float:
     n = actions.shape[0]
     if n < 2:
         return 0.0
-    spectrum = np.abs(np.fft.rfft(actions, axis=0)[1 : n // 2 + 1]) ** 2 * dt
-    frequency = np.fft.rfftfreq(n, dt)[1 : n // 2 + 1]
+    spectrum = np.abs(np.fft.rfft(actions, axis=0)[1:]) ** 2 * dt
+    frequency = np.fft.rfftfreq(n, dt)[1:]
     weighted = float((spectrum * frequency[:, None]).sum())
     return -C_SM / (n * dt) * float(np.sqrt(2.0 / n * weighted))

@@ -219,3 +219,42 @@ def test_an_indi_is_imagined_to_do_without_a_surface_that_is_at_its_end(asked, a
     for _ in range(2):
         law.sent(law.steer(x, x[[STATE.theta, STATE.phi, STATE.beta]]))
     assert law.linear().maps[other, column] == parts[1]
+
+
+@dataclass
+class Known:
+    """What is believed of three surfaces: lambda and how sure."""
+
+    effectiveness: np.ndarray
+    sd: np.ndarray
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sign_is_sure_beyond_three_standard_deviations_and_a_tenth(sign):
+    found = Known(sign * np.array([0.41, 0.39, 1.0]), np.array([0.1, 0.1, 0.301]))
+    assert sure_signs(found, [-0.1] * 3, [0.1] * 3) == [sign * 0.41, None, None]
+
+
+def test_a_surface_that_cannot_move_by_more_than_a_hundredth_has_no_sign():
+    found = Known(np.array([1.0, -1.0, 1.0]), np.full(3, 0.01))
+    assert sure_signs(found, [0.02, -0.01, -0.1], [0.0301, 0.0, 0.1]) == [1.0, None, 1.0]
+
+
+def test_a_moment_counts_from_three_degrees_of_elevator_and_an_elevator_from_what_it_pitches():
+    for effect, works in ((-1.001, True), (-0.999, False)):
+        assert math.isfinite(highest_alpha(Found(elevator_effect=effect, nose_up=9.0), RESERVE)) is works
+    least = 12.5 * math.radians(3.0)
+    assert math.isfinite(highest_alpha(Found(nose_up=least + 1e-6), RESERVE))
+    assert highest_alpha(Found(nose_up=least - 1e-6), RESERVE) == math.inf
+
+
+def test_a_nose_that_falls_already_leaves_more_of_the_elevator():
+    level, falling = (highest_alpha(Found(pitching=each), RESERVE) for each in (0.0, -0.25))
+    assert falling - level == pytest.approx(0.02)
+
+
+def test_what_cannot_be_held_is_left_no_faster_than_from_three_degrees_away_and_never_below_zero():
+    beyond = Found(alpha=0.2, elevator=DEFLECTION_LIMIT, pitching=9.0)
+    assert highest_alpha(beyond, RESERVE) == pytest.approx(0.2 - math.radians(3.0))
+    beyond.alpha = 0.02
+    assert highest_alpha(beyond, RESERVE) == 0.0

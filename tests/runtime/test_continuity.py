@@ -84,3 +84,108 @@ def test_at_steep_pitch_bank_and_heading_are_not_told_apart():
     states[:, STATE.theta] = 1.5
     states[5:, STATE.phi], states[5:, STATE.psi] = 0.4, 0.4
     assert refused(states) == []
+
+
+def sideways(**jumps) -> list[int]:
+    """Return which of ten states in level flight are refused, of which those from the sixth on jump by so much."""
+    states = np.zeros((10, N_STATE))
+    states[:, STATE.V], states[:, STATE.alpha], states[:, STATE.h] = 90.0, 0.05, 2000.0
+    for signal, size in jumps.items():
+        states[5:, STATE[signal]] += size
+    return refused(states)
+
+
+FEW = list(range(5, 5 + Continuity.SOUND))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_kind_of_jump_counts_beyond_its_bound_and_not_below(sign):
+    angle, rate, speed = Continuity.JUMP, Continuity.JERK, Continuity.SURGE
+    assert (angle, rate, speed) == (0.015, 0.1, 2.0)
+    assert sideways(phi=0.1, theta=sign * 1.01 * angle) == FEW
+    assert sideways(phi=0.1, theta=sign * 0.99 * angle) == []
+    for gyro in "pqr":
+        assert sideways(phi=0.1, **{gyro: sign * 1.01 * rate}) == FEW
+        assert sideways(phi=0.1, **{gyro: sign * 0.99 * rate}) == []
+    assert sideways(phi=0.1, V=sign * 1.01 * speed) == FEW
+    assert sideways(phi=0.1, V=sign * 0.99 * speed) == []
+
+
+def test_two_jumps_are_garbage_with_attitude_among_them_and_three_in_any_case():
+    for attitude in ("phi", "theta", "psi"):
+        assert sideways(**{attitude: 0.1}) == []
+        assert sideways(**{attitude: 0.1}, beta=0.1) == FEW
+    assert sideways(alpha=0.1, V=9.0) == []
+    assert sideways(beta=0.1, p=1.0) == []
+    assert sideways(alpha=0.1, beta=0.1, q=1.0) == FEW
+    assert sideways(alpha=0.1, V=9.0, r=1.0) == FEW
+    assert sideways(beta=0.1, p=1.0, q=1.0, r=1.0) == []  # the gyros step together, and count once
+    assert sideways(p=1.0, V=9.0) == []  # without an angle nothing is garbage
+
+
+def test_after_garbage_three_states_must_follow_one_another_before_one_is_used():
+    states = turning(30)
+    states[10, STATE.theta : STATE.psi + 1] += 0.5  # one state: it jumps there, and back
+    assert refused(states) == [10, 11, 12, 13]
+    states[13, STATE.theta : STATE.psi + 1] += 0.5
+    assert refused(states) == list(range(10, 17))
+
+
+def test_states_across_a_gap_of_a_tenth_of_a_second_are_compared_by_the_time_between_them():
+    states = turning(101, (0.5, 0.2, -0.2))[::10]
+    assert refused(states, step=100_000) == []
+    assert len(refused(states, step=10_000)) > 5  # a tenth of the time: the rates explain a tenth of the turn
+    states[5:, [STATE.theta, STATE.phi]] += 0.2
+    assert refused(states, step=100_000)[:1] == [5]
+    assert refused(states, step=100_001) == []
+
+
+def test_a_state_that_comes_again_is_compared_with_nothing():
+    states = turning(4)
+    states[2:, [STATE.theta, STATE.phi]] += 0.2
+    continuity = Continuity()
+    assert [continuity.broken(x, at) for x, at in zip(states.tolist(), (0, 10_000, 10_000, 20_000), strict=True)] == [
+        False, False, False, False,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("bank", [0.6, 2.2, -1.2])
+@pytest.mark.parametrize("pitch", [0.8, -0.8])
+def test_rates_turn_attitude_and_flow_angles_as_kinematics_say(bank, pitch):
+    """At 5 rad/s and a bank and pitch where every term counts, each sample turns each angle by up to three JUMPs."""
+    states = np.zeros((3, N_STATE))
+    states[:, : STATE.r + 1] = 3.0, 2.0, -4.0
+    states[:, STATE.V], states[:, STATE.alpha], states[:, STATE.h] = 90.0, 0.3, 2000.0
+    states[:, STATE.phi], states[:, STATE.theta] = bank, pitch
+    for k in (1, 2):
+        states[k, STATE.phi : STATE.h + 1] = states[k - 1, STATE.phi : STATE.h + 1] + DT * kinematic_rates(
+            states[k - 1]
+        )
+        p, q, r, _, alpha, _ = states[k - 1, : STATE.beta + 1]
+        states[k, STATE.alpha] += k * DT * q
+        states[k, STATE.beta] = states[k - 1, STATE.beta] + DT * (p * np.sin(alpha) - r * np.cos(alpha))
+    last, now = states[1:].tolist()
+    assert not Continuity()._jumps(last, now, DT)
+    for still in (STATE.phi, STATE.theta, STATE.psi, STATE.alpha, STATE.beta):  # one that does not move shows
+        held, turned = list(now), abs(now[still] - last[still])
+        held[still] = last[still]
+        held[STATE.V] += 9.0
+        expected = turned > 1.1 * Continuity.JUMP and still not in (STATE.alpha, STATE.beta)
+        if turned > 1.1 * Continuity.JUMP or turned < 0.9 * Continuity.JUMP:
+            assert Continuity()._jumps(last, held, DT) is expected
+
+
+def test_steep_means_a_cosine_of_pitch_below_0_3_either_way_up():
+    for pitch, steep in ((1.25, False), (1.28, True), (-1.28, True), (np.pi - 1.28, True), (np.pi - 1.25, False)):
+        states = np.zeros((10, N_STATE))
+        states[:, STATE.V], states[:, STATE.theta] = 90.0, pitch
+        states[5:, STATE.phi] += 0.4
+        states[5:, STATE.psi] += 0.4
+        assert (refused(states) == []) is steep
+
+
+def test_jumps_are_measured_the_short_way_round_the_whole_turn():
+    for size in (2.0 / np.pi, 1.0, 3.0):
+        assert sideways(phi=size, theta=0.1) == FEW
+    assert sideways(phi=2.0 * np.pi, psi=-2.0 * np.pi) == []
+    assert sideways(phi=0.1, V=2.0) == []

@@ -1,5 +1,7 @@
 """Excitation on demand: when a surface is moved only to see what it does, how, and what is gained."""
 
+import itertools
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -134,3 +136,51 @@ def test_a_surface_that_reverses_at_its_limit_is_known_by_its_pulse(noise):
     plain, unsure, _ = reversed_at_its_limit(replace(SETTINGS, excitation=0.0), noise)
     assert unsure > 2.0 * sd
     assert abs(plain + 1.0) > abs(found + 1.0)
+
+
+def test_a_pulse_takes_5_samples_at_the_limit_in_a_row_on_either_side():
+    for sign in (1.0, -1.0):
+        excitation = Excitation(SETTINGS, Found(1.0, 0.0, 0.0))
+        for near in (0.981, 0.979):
+            asked(excitation, 0.5 * AT_LIMIT, 50)
+            before = excitation.pulses
+            asked(excitation, sign * near * AT_LIMIT, 4)
+            asked(excitation, 0.5 * AT_LIMIT, 1)
+            asked(excitation, sign * near * AT_LIMIT, 4)
+            assert excitation.pulses == before
+            asked(excitation, sign * near * AT_LIMIT, 1)
+            assert excitation.pulses == before + (near > Excitation.AT_LIMIT)
+
+
+def test_a_pulse_on_the_positive_side_goes_down_towards_the_middle():
+    out = asked(Excitation(SETTINGS, Found(1.0, 0.0, 0.0)), -AT_LIMIT, 10)
+    assert out[:, 0].min() == pytest.approx(DEFLECTION_LIMIT - SIZE)
+    assert out[:, 0].max() == DEFLECTION_LIMIT
+
+
+def test_a_command_beyond_its_limit_is_pulsed_from_the_limit():
+    out = asked(Excitation(SETTINGS, Found(1.0, 0.0, 0.0)), 3.0 * AT_LIMIT, 10)
+    assert out[:, 0].max() == pytest.approx(SIZE - DEFLECTION_LIMIT)
+
+
+def test_a_surface_is_unsure_beyond_excitation_sd_and_each_rests_by_itself():
+    unsure = SETTINGS.excitation_sd
+    for sd, pulses in ((unsure, 0), (1.001 * unsure, 1)):
+        excitation = Excitation(SETTINGS, Found(sd, 0.0, 0.0))
+        asked(excitation, AT_LIMIT, 10)
+        assert excitation.pulses == pulses
+    excitation, moved = Excitation(SETTINGS, Found(1.0, 1.0, 0.0)), []
+    for _ in range(4 * LONG):
+        excitation.add(DEFLECTION_LIMIT * np.array([1.0, 1.0, 0.0]))
+        moved.append(excitation.surface)
+    runs = [(surface, len(list(run))) for surface, run in itertools.groupby(moved)]
+    assert runs[:4] == [(-1, Excitation.STILL - 1), (0, LONG), (1, LONG), (0, LONG)]
+
+
+def test_a_dead_surface_of_a_cast_that_searches_rests_long_only_while_it_is_sure():
+    found = Found(0.01, 0.0, 0.0)
+    found.believed[0] = 0.0
+    excitation = Excitation(SETTINGS, found)
+    out = asked(excitation, AT_LIMIT, 200)
+    begins = np.flatnonzero(np.diff((out[:, 0] > -DEFLECTION_LIMIT).astype(int)) == 1) + 1
+    np.testing.assert_array_equal(np.diff(begins), LONG + round(Excitation.REST_DEAD / DT))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from runtime.hypotheses import CROSSED, STRAIGHT, Inputs, hypotheses
+from runtime.hypotheses import CROSSED, STRAIGHT, Evidence, Inputs, actuators, hypotheses
 from runtime.identification import IncrementalModel
 from runtime.structured import Effectiveness
 from task.actuators import ACTUATOR, HEALTHY
@@ -136,3 +136,99 @@ def test_the_imagination_starts_from_what_slow_surfaces_do_with_the_commands():
     acted = identified.commands[-2:]
     assert np.abs(acted - sent).max() > 0.005
     np.testing.assert_allclose(acted[0], aircraft.acting, atol=2e-3)
+
+
+def test_a_delay_that_rounds_to_no_sample_or_comes_twice_is_no_hypothesis_of_its_own():
+    choices = hypotheses(replace(NOTHING, delays=(0.1, 0.004, 0.05, 0.1, 0.0)), DT)
+    assert [c.delay for c in choices] == [0, 5, 10]
+
+
+def test_before_the_commands_are_known_none_is_and_older_ones_are_taken_to_be_the_first():
+    inputs = Inputs(hypotheses(replace(NOTHING, delays=(0.03,), rate_limits=(1.0,)), DT), command_lag=1, dt=DT)
+    assert not inputs.known
+    inputs.send(np.full(3, 0.1))
+    assert not inputs.known
+    inputs.send(np.full(3, 0.2))
+    assert inputs.known
+    np.testing.assert_allclose(inputs.take()[:, 0], [0.1, 0.1, 0.1])
+    np.testing.assert_allclose(inputs.followed(2)[:, 0], [0.1, 0.1 + DT])  # a slow surface was where it was told to be
+    inputs.restart()
+    assert not inputs.known
+    inputs.send(np.full(3, -0.1))
+    np.testing.assert_allclose(inputs.take()[:, 0], [-0.1, -0.1, -0.1])
+
+
+def test_what_acted_before_is_what_was_taken_last():
+    inputs = Inputs(hypotheses(replace(NOTHING, delays=(0.02,)), DT), command_lag=1, dt=DT)
+    taken = []
+    for k in range(6):
+        inputs.send(np.full(3, float(k)))
+        taken.append(inputs.take().copy())
+        if k:
+            np.testing.assert_array_equal(inputs.before, taken[-2])
+    np.testing.assert_array_equal(taken[-1][:, 0], [4.0, 2.0])
+
+
+def weighed(evidence, told, samples, opened=False):
+    """Return after how many samples another hypothesis is believed, or None."""
+    return next((k for k in range(1, samples + 1) if evidence.weigh(told, opened)), None)
+
+
+def test_one_sample_says_one_nat_against_a_hypothesis_and_two_while_the_filters_are_open():
+    for opened, says in ((False, Evidence.SAYS), (True, Evidence.SAYS_OPEN)):
+        evidence = Evidence([0.0, 0.0], 1.0, 10.0, 10.0)
+        evidence.weigh([-50.0, 0.0], opened)
+        assert evidence.behind == [says, 0.0]
+        evidence.weigh([0.0, -0.3], opened)
+        assert evidence.behind == pytest.approx([says - 0.3, 0.0])
+    assert (Evidence.SAYS, Evidence.SAYS_OPEN) == (1.0, 2.0)
+
+
+def test_while_the_filters_are_open_nothing_is_forgotten_and_the_lesser_lead_will_do():
+    closed, opened = Evidence([0.0, 0.0], 0.9, 8.0, 5.0), Evidence([0.0, 0.0], 0.9, 8.0, 5.0)
+    # a lead of 8 of which a tenth is forgotten each time: 1 - 0.9^n of 10
+    assert weighed(closed, [-1.0, 0.0], 100) == next(n for n in range(100) if 10 * (1 - 0.9**n) > 8.0) + 2
+    assert weighed(opened, [-1.0, 0.0], 100, opened=True) == 6 + 2
+    assert weighed(Evidence([0.0, 0.0], 0.9, 8.0, 5.0), [-0.75, 0.0], 500) is None
+
+
+def test_no_hypothesis_falls_behind_by_more_than_it_takes_and_can_so_come_back():
+    evidence = Evidence([0.0, 0.0], 1.0, 10.0, 5.0)
+    assert weighed(evidence, [0.0, -1.0], 500) is None
+    assert evidence.behind == [0.0, 11.0]
+    assert weighed(evidence, [0.0, -2.0], 500, opened=True) is None
+    assert evidence.behind == [0.0, 7.0]
+
+
+def test_a_lead_must_be_that_of_one_hypothesis_for_three_samples_in_a_row():
+    evidence = Evidence([0.0, 0.0, 0.0], 1.0, 2.0, 2.0)
+    turns = [[-1.0, 0.0, 0.0]] * 3 + [[-1.0, -0.5, 0.0]]  # the first two are level, then the third is ahead
+    assert not any(evidence.weigh(told) for told in turns)
+    assert evidence.best == 2
+    assert [evidence.weigh([-1.0, -0.5, 0.0]) for _ in range(3)] == [False, False, True]
+    assert evidence.believed == 2
+
+
+def test_what_is_weighed_anew_starts_with_its_odds_but_for_what_is_believed():
+    evidence = Evidence([0.0, 0.0, 10.0], 1.0, 36.0, 11.0)
+    assert evidence.behind == [0.0, 0.0, 10.0]
+    assert evidence.confidence == pytest.approx(1.0 / (2.0 + np.exp(-10.0)))
+    evidence.weigh([-1.0, 0.0, -1.0])
+    evidence.believed = 2
+    evidence.forget()
+    assert (evidence.behind, evidence.best) == ([0.0, 0.0, 0.0], 2)
+    evidence.reset()
+    assert (evidence.believed, evidence.best, evidence.behind) == (0, 0, [0.0, 0.0, 10.0])
+
+
+def test_only_surfaces_that_are_slow_or_lag_are_followed():
+    settings = replace(NOTHING, delays=(0.02,), rate_limits=(1.0,), bandwidths=(1.0,), ranges=True, q_uncommanded=0.02)
+    choices = hypotheses(settings, DT)
+    inputs = Inputs(choices, 1, DT)
+    for asked in (0.0, 0.1, 0.1):
+        inputs.send(np.full(3, asked))
+    for i, choice in enumerate(choices):
+        slow = min(choice.rate, choice.bandwidth) < np.inf
+        np.testing.assert_array_equal(inputs.followed(i)[:, 0] == 0.1, [not slow, not slow])
+        assert actuators(choice)[ACTUATOR.rate].tolist() == [choice.rate] * 3
+        np.testing.assert_array_equal(actuators(choice)[: ACTUATOR.rate], HEALTHY[: ACTUATOR.rate])

@@ -221,3 +221,150 @@ def test_what_is_not_known_of_the_reference_goes_on_as_it_moves(population, prev
 def test_without_trend_what_is_not_known_is_held(population):
     settings = msgspec.structs.replace(SETTINGS, preview=False)
     np.testing.assert_allclose(asked_about(population, settings, RecordedReference(RAMP)), 0.14, rtol=1e-6)
+
+
+class Late(Foretold):
+    """An imagination that is not there until it is told to be, as in real time."""
+
+    there = False
+
+    def result(self, asked):
+        return self.wait(asked) if self.there else None
+
+
+def real_time(population, settings, foretold=(-1.0, -0.2, -90.0, -90.0, -1.0)):
+    flight = Flight(population, None, settings)
+    plays = flight.plays
+    plays._lockstep, plays._imagination = False, Late([list(foretold)])
+    return flight, plays
+
+
+def test_in_real_time_nothing_else_is_asked_for_while_one_is_under_way_and_it_decides_when_it_is_there(population):
+    flight, plays = real_time(population, msgspec.structs.replace(SETTINGS, max_age=0.5))
+    decided = {}
+    for tick in range(80):
+        plays._imagination.there = tick >= 53
+        flight.model.observe(flight.x)
+        if played := plays.step(tick, tick * DT):
+            decided[tick] = played
+        flight.model.command(np.array([-0.02477, 0.0, 0.0]))
+    assert list(decided) == [53, 61]
+    assert (decided[53].tick_asked, decided[53].age) == (20, pytest.approx(0.33))
+    assert (decided[61].tick_asked, decided[61].age) == (60, pytest.approx(0.01))
+    assert (plays.asked, plays.skipped, plays.failed) == (2, 1, 0)
+    assert plays.seconds == [0.001, 0.001]
+
+
+def test_an_imagination_that_comes_after_max_age_decides_nothing(population):
+    for age, reason in ((0.33, Reason.BETTER), (0.32, Reason.TOO_OLD)):
+        flight, plays = real_time(population, msgspec.structs.replace(SETTINGS, max_age=age + 1e-9))
+        for tick in range(54):
+            plays._imagination.there = tick == 53
+            flight.model.observe(flight.x)
+            played = plays.step(tick, tick * DT)
+            flight.model.command(np.array([-0.02477, 0.0, 0.0]))
+        assert played.decision.reason is reason
+
+
+def test_an_alarm_asks_anew_though_a_question_is_under_way_and_that_one_decides_no_more(population):
+    settings = msgspec.structs.replace(SETTINGS, settle=0.02, watch=0.1, watch_period=0.05, play_delay_ticks=10)
+    played = foretell(population, settings, [HARD], alarm_at=25)
+    # 20 is given up for 27; at 32 that one is under way
+    assert [each.tick_asked for each in played] == [27, 37, 60, 80]
+
+
+def test_after_an_alarm_imaginations_follow_each_other_for_watch_and_then_at_their_usual_times(population):
+    settings = msgspec.structs.replace(SETTINGS, settle=0.03, watch=0.2, watch_period=0.06)
+    asked = [each.tick_asked for each in foretell(population, settings, [QUIET], alarm_at=21)]
+    assert asked == [20, 24, 30, 36, 42, 48, 60, 80]
+
+
+@pytest.mark.parametrize(("confirmations", "switched"), [(1, [20, 40, 60, 80]), (2, [20, 23, 40, 43, 60, 63, 80, 83])])
+def test_what_must_be_confirmed_is_asked_for_again_at_once(population, confirmations, switched):
+    settings = msgspec.structs.replace(SETTINGS, confirmations=confirmations)
+    played = foretell(population, settings, [HARD])
+    assert [p.tick_asked for p in played] == switched
+    assert [p.decision.reason for p in played[:confirmations]] == [Reason.UNCONFIRMED] * (confirmations - 1) + [
+        Reason.BETTER
+    ]
+
+
+def test_another_member_named_in_between_is_counted_from_one(population):
+    other = [-40.0, -90.0, -20.0, -90.0]
+    settings = msgspec.structs.replace(SETTINGS, confirmations=2)
+    reasons = [p.decision.reason for p in foretell(population, settings, [HARD, other, HARD, HARD])[:4]]
+    assert reasons == [Reason.UNCONFIRMED] * 3 + [Reason.BETTER]
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_a_member_that_opposes_needs_two_without_an_alarm_and_is_switched_to_hard(population, found):
+    flight = Flight(population, None, msgspec.structs.replace(SETTINGS, dwell=0.0))
+    flight.cast.opposes = lambda member: True
+    effectiveness = SimpleNamespace(believed=np.ones(3), evidence=SimpleNamespace(believed=0)) if found else None
+    plays = flight.plays
+    plays._model = SimpleNamespace(
+        alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=effectiveness
+    )
+    plays._snapshot, plays._imagination = lambda t: None, Foretold([[*HARD, HARD[0]]])
+    played = [each for tick in range(50) if (each := plays.step(tick, tick * DT))]
+    decisions = [(p.decision.action, p.decision.reason) for p in played[:2]]
+    assert decisions[0] == ((Action.KEEP, Reason.UNCONFIRMED) if found else (Action.HARD, Reason.BETTER))
+    assert decisions[1] == (Action.HARD, Reason.BETTER)
+    assert [p.tick_asked for p in played[:2]] == [20, 40]  # the second is not asked for any sooner
+
+
+def test_no_switch_comes_sooner_than_dwell_after_the_last(population):
+    settings = msgspec.structs.replace(SETTINGS, dwell=0.35)
+    played = foretell(population, settings, [HARD])
+    assert [p.decision.reason for p in played] == [Reason.BETTER, Reason.DWELL, Reason.BETTER, Reason.DWELL]
+
+
+def test_an_imagination_that_fails_is_counted_and_the_next_one_is_asked_for(population):
+    flight = Flight(population, None)
+
+    class Fails:
+        def request(self, snapshot, tick):
+            pass
+
+        def wait(self, asked):
+            if asked == 20:
+                return None
+            nothing = np.full((1, 5), np.nan)
+            return Prediction(nothing, np.zeros((1, 5)), np.zeros((1, 5)), asked, 0.5, "no memory")
+
+    flight.plays._imagination = Fails()
+    decided = flight.fly(50)
+    assert list(decided) == [43]
+    assert decided[43].error == "no memory"
+    assert decided[43].decision.reason is Reason.NO_PREDICTION
+    assert (flight.plays.asked, flight.plays.failed, flight.plays.seconds) == (2, 2, [0.5])
+
+
+def test_without_a_prior_nothing_is_imagined_before_as_many_samples_as_the_model_has_rows(population):
+    settings = msgspec.structs.replace(SETTINGS, prior="none", identify=True)
+    flight = Flight(population, None, settings)
+    plays = flight.plays
+    rows = len(flight.model.rls.Theta)
+    plays._model = SimpleNamespace(alarmed=False, ready=True, rls=SimpleNamespace(updates=0), effectiveness=None)
+    plays._snapshot, plays._imagination = lambda t: None, Foretold([[*QUIET, QUIET[0]]])
+    for tick in range(100):
+        plays._model.rls.updates = rows - (tick < 33)
+        plays.step(tick, tick * DT)
+        assert plays.asked == (tick >= 33) + (tick >= 40) + (tick >= 60) + (tick >= 80)
+    with_prior = Flight(population, None).plays
+    assert with_prior._least_updates == 0
+
+
+def test_what_a_play_says_is_the_mean_of_the_models_and_unsafe_in_seconds(population):
+    flight = Flight(population, None)
+
+    class Several(Foretold):
+        def wait(self, asked):
+            returns = np.array([[-2.0, -4.0, -9.0, -9.0, -2.0], [-4.0, -2.0, -9.0, -9.0, -4.0]])
+            unsafe = np.array([[0.0, 10.0, 0.0, 0.0, 4.0], [20.0, 10.0, 0.0, 0.0, 0.0]])
+            return Prediction(returns, unsafe, np.zeros((2, 5)), asked, 0.001)
+
+    flight.plays._imagination = Several([])
+    (played,) = flight.fly(30).values()
+    np.testing.assert_allclose(played.returns, [-3.0, -3.0, -9.0, -9.0, -3.0])
+    np.testing.assert_allclose(played.unsafe, [0.1, 0.1, 0.0, 0.0, 0.02])

@@ -32,6 +32,7 @@ from sim_bridge.plant import Plant
 from sim_bridge.world import World
 from task.errors import UserError
 from task.limits import DT
+from task.metrics import smoothness
 from task.reward import terminated
 from task.state import STATE
 
@@ -294,3 +295,79 @@ def test_a_file_that_is_none_of_a_campaign_is_refused(tmp_path):
         read_campaign(bare)
     with pytest.raises(UserError, match="holds no flights"):
         read_campaign(write_parquet([], tmp_path / "empty.parquet", information))
+
+
+def scored(ticks, rows=SECONDS, events=None, x=(), command=None):
+    """Return the figures of a flight at zero with some states changed: (samples, signal, value)."""
+    total = round(rows / DT)
+    states, commands = np.zeros((ticks, len(STATE))), np.zeros((ticks, 3))
+    for samples, signal, value in x:
+        states[samples, signal] = value
+    trace = Trace(states, commands if command is None else command, np.zeros((total, 3)))
+    return score(REVERSED, "none", "", trace, events or Events(REVERSED.fault_at, "good"))
+
+
+FIRST, TICKS = round(REVERSED.fault_at / DT), round(SECONDS / DT)
+
+
+def test_figures_are_taken_from_the_moment_of_the_fault_on():
+    before, after = slice(0, FIRST), slice(FIRST, None)
+    flown = scored(TICKS, x=[(before, STATE.theta, 1.0), (before, STATE.alpha, 1.0), (before, STATE.phi, 1.0)])
+    assert (flown.nmae, flown.nmae_theta, flown.nmae_phi, flown.stalled) == (0.0, 0.0, 0.0, 0.0)
+    flown = scored(TICKS, x=[(after, STATE.theta, np.radians(2.0)), (after, STATE.phi, -np.radians(4.0))])
+    assert (flown.nmae_theta, flown.nmae_phi, flown.nmae_beta) == (pytest.approx(10.0), pytest.approx(20.0), 0.0)
+    assert flown.nmae == pytest.approx(10.0)
+    flown = scored(TICKS, x=[(after, STATE.beta, np.radians(0.5))])
+    assert (flown.nmae_beta, flown.beta_deg) == (pytest.approx(50.0), pytest.approx(0.5))
+
+
+def test_the_step_of_the_command_at_the_fault_counts_and_none_before_it():
+    command = np.zeros((TICKS, 3))
+    command[: FIRST - 10] = np.radians(9.0)
+    command[FIRST:, 1] = np.radians(2.0)
+    flown = scored(TICKS, command=command)
+    assert flown.largest_step == pytest.approx(2.0)
+    assert flown.smoothness == smoothness(command[FIRST - 1 :])
+
+
+def test_a_flight_is_lost_when_it_ends_before_its_reference_and_after_so_many_seconds():
+    flown = scored(TICKS)
+    assert flown.survived
+    assert np.isnan(flown.lost_after)
+    flown = scored(FIRST + 123)
+    assert not flown.survived
+    assert flown.lost_after == pytest.approx(1.23)
+    early = scored(FIRST - 200)
+    assert early.lost_after == pytest.approx(-2.0)
+    assert np.isnan([early.nmae, early.smoothness, early.largest_step, early.stalled]).all()
+    assert np.isnan(scored(FIRST).nmae)
+    assert scored(FIRST + 1).nmae == 0.0
+
+
+def test_switches_and_alarms_are_counted_on_either_side_of_the_fault():
+    events, at = Events(REVERSED.fault_at, "good"), REVERSED.fault_at
+    for since, line in (
+        (-2.0, "soft switch to calm: predicted"), (-1.0, "alarm: the aircraft"), (0.0, "alarm: the aircraft"),
+        (0.0, "hard switch to good/-e: predicted"), (0.5, "suspected: commands late"), (1.5, "soft switch to good: x"),
+    ):  # fmt: skip
+        events.hear(f"{at + since:.2f} s: {line}")
+    flown = scored(TICKS, events=events)
+    assert (flown.switches, flown.switches_before) == (2, 1)
+    assert (flown.alarms, flown.alarms_before, flown.alarm) == (2, 1, 0.0)
+    assert flown.switched_at == [round(-at, 2), -2.0, 0.0, 1.5]
+    assert flown.switched_to == ["good", "calm", "good/-e", "good"]
+    nobody = scored(TICKS, events=Events(at, ""))
+    assert (nobody.switched_at, nobody.switched_to, nobody.switches, nobody.switches_before) == ([], [], 0, 0)
+    assert np.isnan(nobody.alarm)
+
+
+def test_what_came_when_the_aircraft_was_lost_or_later_is_forgotten():
+    events = Events(10.0, "good")
+    for at in (9.0, 12.0, 13.0):
+        events.hear(f"{at:.2f} s: alarm: the aircraft")
+        events.hear(f"{at:.2f} s: soft switch to member{at:.0f}: predicted")
+    events.end(12.0)
+    assert events.alarms == [-1.0]
+    assert (events.switched_at, events.switched_to) == ([-10.0, -1.0], ["good", "member9"])
+    events.end(0.0)
+    assert (events.switched_at, events.switched_to) == ([-10.0], ["good"])

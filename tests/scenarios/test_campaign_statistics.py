@@ -10,7 +10,21 @@ import pytest
 from scenarios.campaign.claims import claims, hindsight
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
-from scenarios.campaign.statistics import interval, key, paired, stalls, suited, survival, time_to_suited, wilson
+from scenarios.campaign.statistics import (
+    bound,
+    interval,
+    key,
+    mean,
+    median,
+    of_oracle,
+    paired,
+    stalled,
+    stalls,
+    suited,
+    survival,
+    time_to_suited,
+    wilson,
+)
 from scenarios.campaign.table import Campaign
 from task.errors import UserError
 
@@ -255,3 +269,68 @@ def test_events_are_counted_against_the_runtimes_own():
         events.check(2, 1)
     with pytest.raises(RuntimeError, match="the runtime counted"):
         events.check(1, 2)
+
+
+def test_a_flight_is_worse_beyond_two_and_clearly_so_beyond_five_percent():
+    p = paired(row("a", 101.999, 102.001, 104.999, 105.001, 98.0), row("none", *[100.0] * 5))
+    assert (p.slightly_worse, p.clearly_worse) == (60.0, 20.0)
+    assert (p.saved, p.lost, p.flights, p.both) == (0, 0, 5, 5)
+
+
+def test_flights_that_only_one_row_flew_are_not_compared():
+    ours, other = row("a", 1.0, 2.0, None), row("none", 1.0)
+    p = paired(ours, other)
+    assert (p.flights, p.both, p.mean, p.lost) == (1, 1, 0.0, 0)
+    assert paired(other, ours).flights == 1
+    assert math.isnan(p.low)
+    assert survival(ours, other) == 100.0
+
+
+def test_nobody_is_close_to_an_oracle_that_was_lost():
+    ours, oracle = row("a", 3.0, 2.0, 9.0, None), row("oracle", 2.0, 1.0, None, 1.0)
+    assert of_oracle(ours, oracle) == 1.75
+    assert math.isnan(of_oracle(row("a", None), oracle))
+    assert of_oracle(row("a", 3.0, 3.0), row("oracle", 2.0)) == 1.5
+
+
+def test_means_and_medians_are_of_what_is_known():
+    assert mean([1.0, NAN, math.inf, 4.0]) == 2.5
+    assert median([1.0, NAN, math.inf, 4.0]) == 4.0
+    assert median([1.0, 2.0]) == 1.5
+    assert math.isnan(mean([NAN]))
+    assert math.isnan(median([NAN]))
+
+
+def test_the_interval_holds_the_mean_95_times_of_100():
+    values = np.random.default_rng(2).normal(0.0, 1.0, 100)
+    low, high = interval(list(values))
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 10.0, rel=0.1)
+    assert not math.isnan(interval([1.0, 2.0])[0])
+
+
+def test_a_wing_was_stalled_for_longer_than_a_second():
+    for seconds, was in ((1.0, False), (1.01, True), (NAN, False)):
+        assert stalled(flight("a", 0, 1.0, stalled=seconds)) is was
+    mixed = {key(r): r for r in (flight("a", i, n, stalled=2.0) for i, n in enumerate((1.0, None)))}
+    assert stalls(mixed) == 100.0  # of the survivors
+
+
+def test_suited_is_a_fifth_and_a_fifth_of_a_percent_from_the_best():
+    members = [flight("members", 0, n, m) for m, n in (("a", 10.0), ("b", 12.2), ("c", 12.21))]
+    assert bound(members) == pytest.approx(12.2)
+    members[1].nmae = 12.19
+    assert suited(members) == {"a", "b"}
+    assert math.isnan(bound([]))
+
+
+def test_who_flew_at_the_fault_counts_from_it_and_who_flew_before_that_does_not():
+    members = [flight("members", 0, n, m) for m, n in (("a", 1.0), ("b", 9.0))]
+
+    def time(*changes):
+        at, to = zip(*changes, strict=True)
+        return time_to_suited(flight("x", 0, 5.0, switched_at=list(at), switched_to=list(to)), members)
+
+    assert time((-10.0, "a"), (0.0, "b")) == 0.0  # until the very moment
+    assert time((-10.0, "a"), (-0.01, "b")) == math.inf
+    assert time((-10.0, "b"), (0.0, "a")) == 0.0
+    assert time((-10.0, "b"), (3.0, "a"), (4.0, "b"), (5.0, "a")) == 3.0

@@ -44,3 +44,7 @@ def test_many_at_once_are_each_of_them():
     together = limited(commands, before, table)
     for place in np.ndindex(4, 5):
         np.testing.assert_array_equal(together[place], limited(commands[place], before[place], table))
+
+
+def test_nobody_changes_what_healthy_means():
+    assert not HEALTHY.flags.writeable
