@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from sim_bridge.actuators import FREE_STOP
+from sim_bridge.actuators import FREE_STOP, Jammed
 from sim_bridge.effects import CLEAN_ALPHA_MAX, ENGINE_ARM
 from sim_bridge.fault import Condition, Fault, NotNegative
 from sim_bridge.sensors import SignalName, check_error
@@ -94,9 +94,8 @@ class Jam(Fault, frozen=True, kw_only=True, tag="jam"):
 
     def apply(self, condition: Condition, level: float) -> None:
         """Take the surface away from its command."""
-        surface = condition.surfaces[SURFACES[self.surface]]
-        surface.jam_share = level
-        surface.jam_angle = None if self.angle_deg is None else math.radians(self.angle_deg)
+        angle = None if self.angle_deg is None else math.radians(self.angle_deg)
+        condition.surfaces[SURFACES[self.surface]].jams.append(Jammed(level, angle, self.start))
 
 
 class Saturation(Fault, frozen=True, kw_only=True, tag="saturation"):
