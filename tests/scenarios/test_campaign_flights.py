@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -22,7 +24,7 @@ from scenarios.campaign.flying import Flyer
 from scenarios.campaign.members import Members
 from scenarios.campaign.rows import Row, choose_rows, parse_row
 from scenarios.campaign.scores import STALL, Events, score
-from scenarios.campaign.store import Journal, plain, read_campaign, read_parquet, write_parquet
+from scenarios.campaign.store import Entry, Journal, plain, read_campaign, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import Task, fly_all, plan
@@ -182,6 +184,35 @@ def test_a_file_from_before_a_column_was_added_is_read_and_a_foreign_one_refused
         pq.write_table(foreign, tmp_path / f"{name}.parquet")
         with pytest.raises(UserError, match=f"{name}.parquet: not flights of this campaign: its columns are suite, "):
             read_parquet(tmp_path / f"{name}.parquet")
+
+
+def test_a_time_that_is_just_in_time_is_still_so_when_it_is_read_again(tmp_path):
+    record = score(REVERSED, "none", "", Trace(np.zeros((5, 12)), np.zeros((5, 3)), np.zeros((5, 3))), Events(0.0, ""))
+    times = [-9.37, 0.4, 1.3]
+    written = msgspec.structs.replace(record, alarm=0.38, switched_at=times, switched_to=["a", "b", "a"], fault_at=9.37)
+    path = write_parquet([written], tmp_path / "c.parquet", {"half": "tuning"})
+    (read,) = read_parquet(path).records
+    assert (read.alarm, read.switched_at, read.switched_to, read.fault_at) == (0.38, times, ["a", "b", "a"], 9.37)
+    assert write_parquet([read], tmp_path / "again.parquet", {"half": "tuning"}).read_bytes() == path.read_bytes()
+
+
+def test_a_full_disk_is_said_in_one_line_and_what_was_there_stays(tmp_path, monkeypatch):
+    entry = Entry(key="k", code="c", seconds=1.0, records=[])
+    journal = Journal(Path("/dev/full"))
+    with pytest.raises(UserError, match=r"/dev/full: cannot be written: No space left.*give the command again"):
+        journal.write(entry)
+    kept = write_parquet([], tmp_path / "c.parquet", {"half": "tuning"})
+    before = kept.read_bytes()
+
+    def full(table, where, **_):
+        where.write(b"PAR1")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(UserError, match=r"c\.parquet: cannot be written: No space left"):
+        write_parquet([], kept, {"half": "reported"})
+    assert [path.name for path in tmp_path.iterdir()] == ["c.parquet"]
+    assert kept.read_bytes() == before
 
 
 def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
