@@ -41,6 +41,9 @@ HEAD = """# Campaign
 What one campaign measured; `python -m scenarios.campaign` writes this page. A figure that misses its target says so.
 """
 
+OURS = "ensemble"
+"""The row that claims are about when none is named."""
+
 SHOWN = (
     "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "nMAE %", "over oracle", "switches",
     "alarms", "suited member s",
@@ -123,7 +126,7 @@ def _derived(campaign: Campaign) -> str:
 @click.option("--rows", help=f"Comma-separated, of: {', '.join(row_names())}.  [default: all that imagine in "
               "the runtime's model]")  # fmt: skip
 @click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
-@click.option("--ours", default="ensemble", show_default=True, help="Comma-separated rows that the claims are about.")
+@click.option("--ours", help=f"Comma-separated rows that the claims are about.  [default: {OURS}]")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
 @click.option("--oracle-laws", "laws", default="",
               help="Comma-separated rows that the oracle may choose besides the members: pid, indi, ...")  # fmt: skip
@@ -137,7 +140,7 @@ def _derived(campaign: Campaign) -> str:
 @click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
 def main(
     suites: tuple[str, ...], faults: tuple[str, ...], half: Half, count: int, population: str, rows: str | None,
-    extra: tuple[str, ...], ours: str, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
+    extra: tuple[str, ...], ours: str | None, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
     name: str, results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
 ) -> None:  # fmt: skip
     """Fly the campaign, or what of it was not flown yet; write flights (Parquet), tables and figures."""
@@ -149,7 +152,11 @@ def main(
         records, information, where = stored.records, stored.information, out or parquet.parent
         check_folders(where, results, figures)
         spent = read(file).seconds if (file := parquet.with_suffix(".json")).exists() else 0.0
+        flown_with = information["command"]
+        ours, robust = ours or said(flown_with, "--ours") or OURS, robust or said(flown_with, "--robust")
+        laws = laws or said(flown_with, "--oracle-laws")
     else:
+        ours = ours or OURS
         command = command_line({
             "--suite": suites, "--fault": faults, "--half": half, "--references": str(count),
             "--population": population, "--rows": rows or (), "--row": extra, "--ours": ours, "--robust": robust or (),
@@ -168,12 +175,14 @@ def main(
         jobs = jobs or default_jobs(realtime=False)
         with stopping(f"what was flown is kept in {where}, the same command goes on"):
             done = fly(tasks, folder, cast.sha256, where, jobs, any_version, screen)
-        records, spent = [r for d in done for r in d.records], sum(d.seconds for d in done) / jobs
+        spent = sum(d.seconds for d in done) / jobs
         information = {
             "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
             "command": command,
         }  # fmt: skip
-        write_parquet(records, where / f"{name}.parquet", information)
+        # What is reported is what the file holds: read again, it gives the same figures.
+        file = write_parquet([r for d in done for r in d.records], where / f"{name}.parquet", information)
+        records = read_campaign(file).records
         screen.print("[dim]" + cost(done) + "[/]")
     campaign = Campaign(records, information["champion"], robust, words(laws))
     check_ours(ours, campaign.rows)
@@ -187,6 +196,12 @@ def main(
     show(screen, found)
     screen.print(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}\nReport: {where / 'report.md'}")
     screen.print("Figures: " + ", ".join(str(path) for path in pictures))
+
+
+def said(command: str, option: str) -> str:
+    """Return what a command line says of an option; nothing where it does not name it."""
+    parts = shlex.split(command)
+    return parts[parts.index(option) + 1] if option in parts[:-1] else ""
 
 
 def words(text: str) -> list[str]:

@@ -241,6 +241,32 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
     assert (tmp_path / "again" / "report.md").read_text() == report
 
 
+def test_a_file_is_read_with_what_it_was_flown_with(tmp_path):
+    record = score(REVERSED, "none", "", Trace(np.zeros((5, 12)), np.zeros((5, 3)), np.zeros((5, 3))), Events(0.0, ""))
+    flown = [
+        msgspec.structs.replace(record, row=row, member=member, nmae=nmae, survived=True, stalled=0.0)
+        for row, member, nmae in (("members", "c", 9.0), ("members", "d", 8.0), ("pid", "", 5.0), ("indi", "", 6.0))
+    ]
+    command = "python -m scenarios.campaign --ours indi --robust c --oracle-laws pid"
+    file = write_parquet(
+        flown, tmp_path / "c.parquet", {"population": "p", "champion": "c", "half": "tuning", "command": command}
+    )
+
+    def report(*options):
+        done = CliRunner().invoke(main, ["--read", str(file), *options], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return (tmp_path / "report.md").read_text()
+
+    as_flown = report()
+    assert "(hard: c), found" in as_flown
+    assert "in hindsight, the laws pid among them" in as_flown
+    assert "| indi, hard, all: survives" in as_flown
+    other = report("--ours", "pid", "--robust", "d", "--oracle-laws", "pid,indi")
+    assert "(hard: d), found" in other
+    assert "the laws pid, indi among them" in other
+    assert "| pid, hard, all: survives" in other
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
