@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import errno
 import itertools
 import math
@@ -17,7 +18,7 @@ from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
 from runtime.laws.catalogue import LAWS
 from runtime.population import BehaviouralPolicy, load_population
-from scenarios.campaign import command
+from scenarios.campaign import command, work
 from scenarios.campaign.command import main
 from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
@@ -50,6 +51,8 @@ def short(fault: str, suite: str = "hard", **wanted):
 CALM = {"trim": "nominal", "air": "still"}
 REVERSED = short("elevator x -1", sensors="noise", **CALM)
 ROUGH = short("F5 elevator x 0.3", "easy", air="light", trim="nominal")
+NOT_FLOWN = {"understudy.py", *(f"scenarios/campaign/{name}.py" for name in ("alone", "members", "rows", "suites"))}
+"""Imported by what flies, but what they decide is in a task's key or in another hash."""
 STRUCTURED = Row(name="structured", preset="structured")
 
 
@@ -213,6 +216,50 @@ def test_a_full_disk_is_said_in_one_line_and_what_was_there_stays(tmp_path, monk
         write_parquet([], kept, {"half": "reported"})
     assert [path.name for path in tmp_path.iterdir()] == ["c.parquet"]
     assert kept.read_bytes() == before
+
+
+def _imported(path: Path) -> set[str]:
+    """Return the modules of this program that a file imports, as paths below its root."""
+    found = (node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom))
+    places = {f"{(name or '').replace('.', '/')}.py" for name in found}
+    return {place for place in places if (work.ROOT / place).is_file()}
+
+
+@pytest.mark.parametrize(
+    ("sources", "left_out"),
+    [
+        # Of the configuration the last gate's times are asked for; what a manifest says is in the population's hash.
+        (work.MEMBER_SOURCES, {"runtime/config.py", "runtime/manifest.py"}),
+        # Constants and types; of the estimator laws use the recursive least squares alone.
+        (work.LAW_SOURCES, {"runtime/config.py", "runtime/hypotheses.py", "runtime/plays.py"}),
+        (work.PERFECT_SOURCES, set()),
+    ],
+)
+def test_what_decides_a_flight_is_asked_for_when_it_is_resumed(sources, left_out):
+    def covered(place: str) -> bool:
+        return any(place == source or place.startswith(f"{source}/") for source in sources)
+
+    files = {
+        file
+        for source in sources
+        for file in ((work.ROOT / source).rglob("*.py") if (work.ROOT / source).is_dir() else [work.ROOT / source])
+        if file.name != "identification.py" or sources is not work.LAW_SOURCES
+    }
+    needed = {place for file in files for place in _imported(file)} - NOT_FLOWN
+    assert {place for place in needed if not covered(place)} == left_out
+
+
+def test_a_row_in_the_aircraft_itself_is_flown_again_when_the_perfect_model_changes():
+    perfect = Task(ROUGH, Row(name="p", preset="ensemble", model="aircraft"))
+    assert work.code_of(perfect) == work.code_hash(work.PERFECT_SOURCES) != work.code_of(Task(ROUGH, STRUCTURED))
+
+
+def test_an_older_record_that_lacks_what_is_asked_now_is_flown_again(cast, tmp_path):
+    task, journal = Task(ROUGH, Row(name="pid", law="pid")), Journal(tmp_path / "j.jsonl")
+    journal.write(Entry(key=task.key(""), code="old", seconds=1.0, records=[{"suite": "easy"}]))
+    (done,) = fly_all([task], cast, "", journal, jobs=1, any_version=True)
+    assert not done.reused
+    assert [d.reused for d in fly_all([task], cast, "", journal, jobs=1)] == [True]
 
 
 def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
