@@ -11,6 +11,7 @@ from typing import Literal
 
 import click
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -26,7 +27,9 @@ from scenarios.campaign.suites import HALVES, SUITES, Half, load_suite
 from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
 from scenarios.cli import console, default_jobs
+from scenarios.outputs import claimed
 from scenarios.results_page import page
+from sim_bridge.truth import write_whole
 from task.errors import UserError
 from task.files import find_population, make_folder
 from task.results import Result, read, write
@@ -52,7 +55,10 @@ SHOWN = (
 
 
 def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, count: int) -> list[Cell]:
-    """Return the flights; ``faults``: only those of this name or group, or with it in their name. Raises UserError."""
+    """Return the flights; ``faults``: only those of this name or group, or with it in their name.
+
+    Raises UserError, also when only some of the words mean a fault.
+    """
     found: list[Cell] = []
     for name in dict.fromkeys(suites):
         suite = load_suite(name)
@@ -69,11 +75,16 @@ def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, cou
     def meant(cell: Cell, word: str) -> bool:
         return word in (cell.fault, cell.group) if word in names else word in cell.fault
 
-    kept = [c for c in found if any(meant(c, word) for word in faults)]
-    if not kept:
+    if unknown := [word for word in faults if not any(meant(c, word) for c in found)]:
         groups = ", ".join(dict.fromkeys(c.group for c in found))
-        raise UserError(f"--fault {', '.join(faults)}: no such fault; give a part of a name, or a group: {groups}")
-    return kept
+        raise UserError(f"--fault {', '.join(unknown)}: no such fault; give a part of a name, or a group: {groups}")
+    return [c for c in found if any(meant(c, word) for word in faults)]
+
+
+def quick_faults(suites: Sequence[str]) -> tuple[str, ...]:
+    """Return those of the quick campaign's faults that the suites have; all where they have none, to be told so."""
+    known = {case.name for suite in suites for case in load_suite(suite).fault}
+    return tuple(fault for fault in QUICK if fault in known) or QUICK
 
 
 def result(campaign: Campaign, information: dict[str, str], seconds: float, ours: str) -> Result:
@@ -163,7 +174,7 @@ def main(
             "--oracle-laws": laws or (), "--name": name if name != "campaign" else (),
         }) + " --quick" * quick  # fmt: skip
         if quick:
-            faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
+            faults, rows, count = faults or quick_faults(suites or SUITES), rows or QUICK_ROWS, min(count, 2)
         folder = find_population(population)
         cast = load_population(folder)
         chosen = choose_rows(rows, extra)
@@ -173,7 +184,7 @@ def main(
         where = out or Path("flights/campaign") / f"{folder.name}-{half}"
         check_folders(where, results, figures)
         jobs = jobs or default_jobs(realtime=False)
-        with stopping(f"what was flown is kept in {where}, the same command goes on"):
+        with claimed(where), stopping(f"what was flown is kept in {where}, the same command goes on"):
             done = fly(tasks, folder, cast.sha256, where, jobs, any_version, screen)
         spent = sum(d.seconds for d in done) / jobs
         information = {
@@ -183,19 +194,20 @@ def main(
         # What is reported is what the file holds: read again, it gives the same figures.
         file = write_parquet([r for d in done for r in d.records], where / f"{name}.parquet", information)
         records = read_campaign(file).records
-        screen.print("[dim]" + cost(done) + "[/]")
+        screen.print("[dim]" + escape(cost(done)) + "[/]")
     campaign = Campaign(records, information["champion"], robust, words(laws))
     check_ours(ours, campaign.rows)
     found = result(campaign, information, spent, ours)
     write(name, found, where)
-    (where / "report.md").write_text(page({name: found}, HEAD), encoding="utf-8")
+    report = page({name: found}, HEAD).encode()
+    write_whole(where / "report.md", lambda file: file.write(report))
     pictures = draw(campaign, figures or where, name)
     if results is not None:
         write(name, found, results)
         write_parquet(records, results / f"{name}.parquet", information)
     show(screen, found)
-    screen.print(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}\nReport: {where / 'report.md'}")
-    screen.print("Figures: " + ", ".join(str(path) for path in pictures))
+    screen.print(escape(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}"))
+    screen.print(escape(f"Report: {where / 'report.md'}\nFigures: " + ", ".join(map(str, pictures))))
 
 
 def said(command: str, option: str) -> str:
@@ -293,13 +305,13 @@ def show(screen: Console, found: Result) -> None:
     """Print the claims and the tables by suite."""
     for table in found.tables:
         if table.title.endswith("every row"):
-            shown = Table(title=table.title, title_justify="left", box=None, header_style="dim")
+            shown = Table(title=escape(table.title), title_justify="left", box=None, header_style="dim")
             places = [table.columns.index(name) for name in SHOWN]
             for i in places:
                 shown.add_column(table.columns[i], justify="left" if i == 0 else "right")
             for row in table.rows:
-                shown.add_row(*(str(row[i]) for i in places))
+                shown.add_row(*(escape(str(row[i])) for i in places))
             screen.print(shown)
     for claim in found.claims:
         verdict = {True: "holds", False: "does not hold", None: ""}[claim.holds]
-        screen.print(f"{claim.claim}: {claim.value} {claim.unit}  [dim]{claim.target}[/] {verdict}")
+        screen.print(f"{escape(claim.claim)}: {claim.value} {claim.unit}  [dim]{claim.target}[/] {verdict}")

@@ -29,6 +29,7 @@ from scenarios.campaign.store import Entry, Journal, plain, read_campaign, read_
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import Task, fly_all, plan
+from scenarios.outputs import LOCK, claimed
 from sim_bridge.faults import SensorBias
 from sim_bridge.plant import Plant
 from sim_bridge.world import World
@@ -275,7 +276,7 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
     out = ["--out", str(tmp_path / "out"), "--results", str(tmp_path / "results")]
     done = CliRunner().invoke(main, [*usual, *out, "--rows", "none,pid"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md"}
+    names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md", LOCK}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     report = (tmp_path / "out" / "report.md").read_text()
     assert report.startswith("# Campaign\n")
@@ -312,6 +313,13 @@ def test_a_file_is_read_with_what_it_was_flown_with(tmp_path):
     assert "(hard: d), found" in other
     assert "the laws pid, indi among them" in other
     assert "| pid, hard, all: survives" in other
+
+
+def test_two_campaigns_do_not_fly_into_one_folder(cast, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "fly", lambda *_: pytest.fail("flown"))
+    options = ["--population", str(cast), "--fault", "F2", "--rows", "pid", "--out", str(tmp_path)]
+    with claimed(tmp_path), pytest.raises(UserError, match="another command flies there now"):
+        CliRunner().invoke(main, options, catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
