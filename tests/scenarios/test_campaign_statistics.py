@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from scenarios.campaign.claims import claims, hindsight
+from scenarios.campaign.command import result, show
+from scenarios.campaign.plots import draw
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
 from scenarios.campaign.statistics import interval, key, paired, stalls, suited, survival, time_to_suited, wilson
@@ -212,6 +216,17 @@ def test_the_oracle_may_choose_laws_too():
     assert [r.survived for r in Campaign(records, "net").pick("oracle").values()] == [True, False]
     with pytest.raises(UserError, match="--oracle-laws indi: the oracle needs the flights"):
         Campaign(records, "net", oracle_laws=["indi"])
+
+
+def test_names_are_shown_as_they_are(tmp_path):
+    odd = "costs $\\frac$ [/b]"
+    flown = Campaign([flight(odd, i, 5.0, fault=f"{odd} and $x_$", suite="mine") for i in range(2)], "c")
+    (picture,) = draw(flown, tmp_path)
+    assert picture.exists()
+    information = {"population": "p", "champion": "c", "half": "tuning", "command": "x"}
+    screen = Console(file=io.StringIO(), width=200)
+    show(screen, result(flown, information, 1.0, odd))
+    assert odd in screen.file.getvalue()
 
 
 def test_the_order_in_which_flights_were_finished_changes_no_table():
