@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -28,6 +27,7 @@ from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
 from scenarios.cli import console, default_jobs
 from scenarios.outputs import claimed
+from scenarios.processes import ended_as_by_ctrl_c
 from scenarios.results_page import page
 from sim_bridge.truth import write_whole
 from task.errors import UserError
@@ -273,23 +273,19 @@ def command_line(options: dict[str, str | tuple[str, ...]]) -> str:
 def fly(
     tasks: Sequence[Task], population: Path, sha256: str, where: Path, jobs: int, any_version: bool, screen: Console
 ) -> list[Done]:
-    """Fly what was not flown yet, with a bar; raise KeyboardInterrupt after Ctrl-C or SIGTERM, and UserError."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """Fly what was not flown yet, with a bar. Raises UserError; KeyboardInterrupt after Ctrl-C, SIGTERM or SIGHUP."""
     done = []
-    try:
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TimeRemainingColumn(), console=screen, disable=not screen.is_terminal,
-        ) as progress:  # fmt: skip
-            bar = progress.add_task(where.name, total=len(tasks))
-            for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
-                done.append(one)
-                progress.advance(bar)
-                if not screen.is_terminal and (at := 20 * len(done) // len(tasks)) > 20 * (len(done) - 1) // len(tasks):
-                    left = progress.tasks[bar].time_remaining
-                    screen.print(f"{5 * at} %" + (f", {left / 60.0:.0f} min left" if left else ""))
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with ended_as_by_ctrl_c(), Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(), console=screen, disable=not screen.is_terminal,
+    ) as progress:  # fmt: skip
+        bar = progress.add_task(where.name, total=len(tasks))
+        for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
+            done.append(one)
+            progress.advance(bar)
+            if not screen.is_terminal and (at := 20 * len(done) // len(tasks)) > 20 * (len(done) - 1) // len(tasks):
+                left = progress.tasks[bar].time_remaining
+                screen.print(f"{5 * at} %" + (f", {left / 60.0:.0f} min left" if left else ""))
     return done
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import multiprocessing
+import os
 import signal
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -175,9 +177,21 @@ _FLYERS: list[Flyer] = []
 
 
 def _begin(population: Path) -> None:
-    """Prepare a process: Ctrl-C is for the one that started it."""
+    """Prepare a process: Ctrl-C is for the one that started it, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     _FLYERS.append(Flyer(load_population(population)))
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it is gone: after a kill -9 nobody else would end it."""
+    if (parent := multiprocessing.parent_process()) is not None:
+
+        def follow() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
 
 
 def _work(task: Task) -> _Answer:
