@@ -50,7 +50,7 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
         if not flights:
             continue
         kept = [r for r in flights.values() if r.survived]
-        times = campaign.casting(flights) if kept and kept[0].switched_to else []
+        times = campaign.casting(flights)
         known = [t for t in times if math.isfinite(t)]
         body.append([
             row, len(flights), *rate(flights, oracle), *rate(flights),

@@ -229,6 +229,14 @@ def test_names_are_shown_as_they_are(tmp_path):
     assert odd in screen.file.getvalue()
 
 
+def test_who_loses_every_flight_is_told_never_to_have_cast_a_suited_member():
+    members = [flight("members", 0, nmae, member) for member, nmae in (("c", None), ("good", 5.0))]
+    lost = flight("ensemble", 0, None, switched_at=[-10.0], switched_to=["c"])
+    every = tables(Campaign([*members, lost, flight("pid", 0, None)], "c"))[0]
+    never = {line[0]: line[every.columns.index("never %")] for line in every.rows}
+    assert never == {"none": "-", "robust": "-", "oracle": "-", "ensemble": 100.0, "pid": "-"}
+
+
 def test_the_order_in_which_flights_were_finished_changes_no_table():
     levels = {"air": ("still", "light", "moderate"), "trim": ("nominal", "R1", "between")}
     rng = np.random.default_rng(5)
