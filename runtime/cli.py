@@ -12,7 +12,7 @@ from types import FrameType
 import click
 
 from runtime.config import Configuration
-from runtime.laws.catalogue import LAWS, LawName, load_solo
+from runtime.laws.catalogue import load_solo
 from runtime.laws.solo import Solo
 from runtime.loop import Outcome
 from runtime.mavlink_link import MavlinkLink
@@ -23,9 +23,10 @@ from runtime.session import Flown, Session, members_of
 from runtime.udp import parse_address
 from task.errors import UserError
 from task.files import find_population
+from task.law_names import LAWS, OWN, why_no_law
 
 SILENT_EXIT = 3
-"""Exit code when the aircraft's side fell silent in mid-flight."""
+"""Exit code when the aircraft's side fell silent in mid-flight, or the link failed."""
 LOST_EXIT = 4
 """Exit code when the flight is over, but a log or what accompanies it could not be written whole."""
 
@@ -68,12 +69,14 @@ def _configure(
         raise UserError(f"expected either --population FOLDER or --law {'|'.join(LAWS)}, got {got}")
     if law is None:
         return resolve(preset, config, overrides, switch, realtime)
+    if wrong := why_no_law(law):
+        raise UserError(f"--law: {wrong}")
     if switch not in (None, "none"):
         raise UserError(f"--law {law}: flies alone; expected --switch none or no --switch, got {switch}")
     return resolve(preset, config, (*overrides, "prior=none", "effectiveness=none"), "none", realtime)
 
 
-def _load(population: Path | None, law: LawName | None, configuration: Configuration) -> Population | Solo:
+def _load(population: Path | None, law: str | None, configuration: Configuration) -> Population | Solo:
     """Return who flies."""
     if law is not None:
         return load_solo(law, configuration.operation.dt)
@@ -98,7 +101,8 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
               help="udpin:HOST:PORT is bound and answers who speaks; udpout:HOST:PORT speaks first.")  # fmt: skip
 @click.option("--population", type=Path,
               help="The cast: a folder that 'understudy export' wrote, or its name under populations/.")  # fmt: skip
-@click.option("--law", type=click.Choice(LAWS), help="Fly this classical law instead of a population.")
+@click.option("--law", metavar="NAME",
+              help=f"Fly a law instead of a population: {', '.join(LAWS)}, or {OWN} of your own.")  # fmt: skip
 @click.option("--reference", "reference_path", type=Path,
               help="CSV or NPY of t, theta, phi, beta [s, rad].  [default: follow SET_ATTITUDE_TARGET]")  # fmt: skip
 @click.option("--preset", type=click.Choice(list(PRESETS)),
@@ -116,7 +120,7 @@ def _describe(cast: Population | Solo, configuration: Configuration) -> str:
 def main(
     address: str,
     population: Path | None,
-    law: LawName | None,
+    law: str | None,
     reference_path: Path | None,
     preset: str | None,
     switch: str | None,
@@ -151,11 +155,11 @@ def main(
 
 
 def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
-    """Say in one line how it ended, and leave with 0, 3 (silence), 4 (a record is lost) or 128 + signal."""
+    """Say in one line how it ended, and leave with 0, 3 (silence, or no link), 4 (a record is lost) or 128 + signal."""
     if not flown:
         _say(f"stopped by {signal.Signals(stopped_by).name} before any state came; nothing flown")
         sys.exit(128 + stopped_by)
-    outcome, log, summary, lost = flown[-1]
+    outcome, log, summary, lost, failure = flown[-1]
     silence = link.silence() if summary.cycles else link.diagnosis()
     ended = {
         Outcome.OVER: "flight over",
@@ -163,13 +167,14 @@ def _leave(flown: list[Flown], link: MavlinkLink, stopped_by: int) -> None:
         Outcome.SILENT: f"the aircraft's side fell silent ({silence})",
         Outcome.STOPPED: f"stopped by {signal.Signals(stopped_by).name}" if stopped_by else "stopped",
         Outcome.REPLACED: "replaced",
+        Outcome.FAILED: f"the link failed ({failure})",
     }[outcome]
     _say(
         f"{ended} after {summary.seconds:.1f} s; {summary.cycles} cycles, {summary.switches} switches, "
         f"{summary.missed + summary.gaps} missed; "
         f"{'its record is not whole, see above: ' if lost else 'log in '}{log}"
     )
-    if outcome is Outcome.SILENT:
+    if outcome in (Outcome.SILENT, Outcome.FAILED):
         sys.exit(SILENT_EXIT)
     if outcome is Outcome.STOPPED:
         sys.exit(128 + stopped_by)

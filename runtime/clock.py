@@ -7,6 +7,9 @@ import gc
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Protocol
 
 
@@ -78,37 +81,67 @@ class RateKeeper:
         return True
 
 
-def harden(core: int, priority: int = 50) -> list[str]:
-    """Ask the system for real-time behaviour of this thread; return one line for each thing asked, got or not.
+@contextmanager
+def hardened(core: int, priority: int = 50) -> Iterator[list[str]]:
+    """Ask the system for real-time behaviour of this thread; yield a line for each thing asked, got or not.
 
     SCHED_FIFO (threads started later do not inherit it), memory locked, the thread pinned to ``core`` (-1: not), no
-    garbage collection in flight, short turns of the interpreter lock. Nothing here fails.
+    garbage collection in flight, short turns of the interpreter lock. Nothing here fails. At the end all of it is as it
+    was found: the process may go on to something else.
     """
     report = []
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-        report.append(f"real time: SCHED_FIFO, priority {priority}")
-    except (OSError, AttributeError) as error:
-        report.append(f"real time: no SCHED_FIFO ({_why(error)}); allow it with 'setcap cap_sys_nice' or limits.conf")
-    try:
-        current = 1  # not future: under a small limit that would make later allocations fail
-        libc = ctypes.CDLL(None, use_errno=True)
-        if libc.mlockall(current) != 0:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        report.append("real time: memory locked")
-    except (OSError, AttributeError) as error:
-        report.append(f"real time: memory not locked ({_why(error)}); raise 'ulimit -l'")
-    if core >= 0:
+    with ExitStack() as undo:
         try:
-            os.sched_setaffinity(0, {core})
-            report.append(f"real time: pinned to core {core}")
-        except (OSError, AttributeError, ValueError) as error:
-            report.append(f"real time: not pinned to core {core} ({_why(error)})")
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    sys.setswitchinterval(5e-4)
-    return report
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+            undo.callback(_schedule, *before)
+            report.append(f"real time: SCHED_FIFO, priority {priority}")
+        except (OSError, AttributeError) as error:
+            report.append(
+                f"real time: no SCHED_FIFO ({_why(error)}); allow it with 'setcap cap_sys_nice' or limits.conf"
+            )
+        try:
+            current = 1  # not future: under a small limit that would make later allocations fail
+            libc, locked = ctypes.CDLL(None, use_errno=True), _memory_is_locked()
+            if libc.mlockall(current) != 0:
+                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+            if not locked:
+                undo.callback(libc.munlockall)
+            report.append("real time: memory locked")
+        except (OSError, AttributeError) as error:
+            report.append(f"real time: memory not locked ({_why(error)}); raise 'ulimit -l'")
+        if core >= 0:
+            try:
+                cores = os.sched_getaffinity(0)
+                os.sched_setaffinity(0, {core})
+                undo.callback(os.sched_setaffinity, 0, cores)
+                report.append(f"real time: pinned to core {core}")
+            except (OSError, AttributeError, ValueError) as error:
+                report.append(f"real time: not pinned to core {core} ({_why(error)})")
+        if gc.isenabled():
+            undo.callback(gc.enable)
+        if not gc.get_freeze_count():
+            undo.callback(gc.unfreeze)
+        undo.callback(sys.setswitchinterval, sys.getswitchinterval())
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        sys.setswitchinterval(5e-4)
+        yield report
+
+
+def _schedule(policy: int, parameters: os.sched_param) -> None:
+    """Schedule this thread as it was; who may not take back the reset on fork keeps it, which is for children alone."""
+    for wanted in (policy, policy | os.SCHED_RESET_ON_FORK):
+        with suppress(OSError):
+            os.sched_setscheduler(0, wanted, parameters)
+            return
+
+
+def _memory_is_locked() -> bool:
+    """Return whether somebody has locked memory of this process before."""
+    status = Path("/proc/self/status").read_text()
+    return any(line.startswith("VmLck:") and int(line.split()[1]) > 0 for line in status.splitlines())
 
 
 def _why(error: Exception) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from task.config import Settings
+from task.law_names import why_no_law
 from task.limits import DEFLECTION_LIMIT, DT
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -17,9 +18,6 @@ Count = Annotated[int, msgspec.Meta(ge=1, le=2**31 - 1)]
 """What the log can hold as a parameter."""
 
 Switch = Literal["none", "hard", "soft"]
-LawName = Literal["pid", "indi", "indi-rls", "indi-rls-signfree", "indi-rls-protected"]
-"""``indi-rls`` finds the effectiveness in flight and holds it positive; ``indi-rls-signfree`` lets it change sign, and
-``indi-rls-protected`` keeps below the angle of attack of the stall besides."""
 
 
 class Adaptation(Settings, frozen=True, kw_only=True):
@@ -276,13 +274,16 @@ class Adaptation(Settings, frozen=True, kw_only=True):
     dwell: NotNegative = 0.0
     """Least time between two switches [s]."""
 
-    laws: tuple[LawName, ...] = ()
-    """Classical laws that are members of the cast beside the population's networks (docs/laws.md)."""
+    laws: tuple[str, ...] = ()
+    """Laws that are members of the cast beside the population's networks: shipped ones (docs/laws.md), or one's own as
+    MODULE:CLASS (docs/own.md)."""
 
     first: str = ""
     """Name of the member that flies first; empty: the population's champion."""
 
     def __post_init__(self) -> None:
+        if wrong := next(filter(None, map(why_no_law, self.laws)), ""):
+            raise ValueError(f"laws: {wrong}")
         if len(set(self.laws)) < len(self.laws):
             raise ValueError(f"laws: expected each at most once, got {list(self.laws)}")
         if self.prior != "none" and self.model == "full":

@@ -35,7 +35,7 @@ class Link(Protocol):
     ended: str
     """``over`` or ``lost`` once the other side has said so; empty in flight."""
     skipped: int
-    """States that were there but older than another (real time)."""
+    """States that were there but older than another (real time, or in one datagram with it)."""
     repeated: int
     """States that came again and were answered again."""
 

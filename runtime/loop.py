@@ -38,6 +38,12 @@ class Outcome(StrEnum):
     SILENT = "silent"
     STOPPED = "stopped"
     REPLACED = "replaced"
+    FAILED = "failed"
+
+
+def in_words(error: Exception) -> str:
+    """Return an error in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 class Answer(NamedTuple):
@@ -51,6 +57,8 @@ class Answer(NamedTuple):
 
 class Loop:
     """Flies one flight from its first state to its end. In flight nothing raises and nothing blocks without bound.
+
+    A link that the system fails (OSError) ends it; what else a link raises is a defect of its own, and passes.
 
     The parts are fresh or reset. ``stopped`` is asked between samples whether somebody wants to end the flight.
     """
@@ -92,29 +100,39 @@ class Loop:
         self._continuity = Continuity()
         self._lost_track = False
         """Whether the model has stood in for states for as long as it can."""
+        self.failure = ""
+        """Why the link failed, where that ended the flight."""
 
     def fly(self, first: Sample) -> Outcome:
         """Fly from the first state until the flight ends, and say how it ended."""
-        self.begin(first)
+        try:
+            self.begin(first)
+            with np.errstate(all="ignore"):
+                return self.until_it_ends(first)
+        except OSError as error:  # nothing else in here asks the system for anything: records keep their own errors
+            self.failure = in_words(error)
+            return Outcome.FAILED
+
+    def until_it_ends(self, first: Sample) -> Outcome:
+        """Answer one state after the other; return why there is no next one."""
         heard = time.monotonic()
         sample: Sample | None = first
-        with np.errstate(all="ignore"):
-            while True:
-                if sample is not None:
-                    self.cycle(sample)
-                    heard = time.monotonic()
-                elif self.link.ended:
-                    return Outcome(self.link.ended)
-                elif time.monotonic() - heard > self.operation.patience:
-                    return Outcome.SILENT
-                elif self.clock.overdue():
-                    self.miss()
-                if self.stopped():
-                    return Outcome.STOPPED
-                sample = self.link.read(self.clock.wait())
-                if sample is not None and self.replaces(sample):
-                    self.next_flight = sample
-                    return Outcome.REPLACED
+        while True:
+            if sample is not None:
+                self.cycle(sample)
+                heard = time.monotonic()
+            elif self.link.ended:
+                return Outcome(self.link.ended)
+            elif time.monotonic() - heard > self.operation.patience:
+                return Outcome.SILENT
+            elif self.clock.overdue():
+                self.miss()
+            if self.stopped():
+                return Outcome.STOPPED
+            sample = self.link.read(self.clock.wait())
+            if sample is not None and self.replaces(sample):
+                self.next_flight = sample
+                return Outcome.REPLACED
 
     def begin(self, first: Sample) -> None:
         """Set the times that the flight is counted from."""
@@ -270,6 +288,8 @@ class Loop:
             if played.decision.action is not Action.KEEP:
                 self.switches += 1
                 self.say(sample, Severity.INFO, played.describe(self.members))
+        if trouble := self.recorder.trouble():
+            self.say(sample, Severity.WARNING, trouble)
         if health:
             self.report(sample, health)
 

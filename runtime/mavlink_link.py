@@ -44,9 +44,9 @@ Sender = tuple[Peer, tuple[int, int]]
 class MavlinkLink:
     """MAVLink 2 over UDP.
 
-    In lockstep every state is handed over; in real time the newest one that is there, older ones being counted in
-    ``skipped``. A state that was answered and comes again is answered again from here. ``say_here`` takes the lines
-    meant for who started the runtime; ``on_setpoint`` takes theta, phi [rad].
+    In lockstep every state is handed over, of several in one datagram the last; in real time the newest one that is
+    there. Older ones are counted in ``skipped``. A state that was answered and comes again is answered again from here.
+    ``say_here`` takes the lines meant for who started the runtime; ``on_setpoint`` takes theta, phi [rad].
     """
 
     HEARTBEAT_PERIOD = 1.0
@@ -229,7 +229,7 @@ class MavlinkLink:
         self._once(f"link: refused: {why}", why)
 
     def _receive(self) -> Sample | None:
-        """Take one datagram; return the last state in it."""
+        """Take one datagram; return the last state in it, the others being skipped and counted."""
         try:
             size, peer = self._socket.recvfrom_into(self._buffer)
         except OSError:
@@ -243,7 +243,9 @@ class MavlinkLink:
                 break
             start = frame.end
             if frame.message == ODOMETRY:
-                sample = self._take_odometry(frame, peer) or sample
+                state = self._take_odometry(frame, peer)
+                self.skipped += state is not None and sample is not None
+                sample = state or sample
             else:
                 self._take_other(frame, peer)
         return sample

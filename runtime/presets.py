@@ -89,8 +89,9 @@ def resolve(
     """Return the configuration: preset, the file over it, ``key=value`` overrides, then ``switch`` and ``real_time``.
 
     The file is TOML with an optional ``preset`` and tables ``[adaptation]`` and ``[operation]``, or the JSON that lies
-    beside each log, by whose name's end it is known. A preset given here beats the one in the file. Raises UserError
-    naming the file or option, the key, expected and got.
+    beside each log, by whose name's end it is known. A preset given here beats the one in the file. What all of them
+    make together has to be valid, not the file alone. Raises UserError naming the file or option, the key, expected and
+    got.
     """
     data: dict[str, Any] = {}
     if file is not None:
@@ -106,16 +107,31 @@ def resolve(
     tables = {"adaptation": msgspec.to_builtins(PRESETS[name]), "operation": {}}
     for table, values in tables.items():
         given = data.get(table, {})
-        data[table] = values | given if isinstance(given, dict) else given
-    if file is not None:
-        convert(data, Configuration, str(file))
+        if not isinstance(given, dict):
+            convert(data, Configuration, str(file))  # which says what is expected
+        data[table] = values | given
+    whole = {**data, **{table: dict(data[table]) for table in tables}}
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals:
             raise UserError(f"--set {override}: expected key=value, as in --set kappa=0.999")
-        data[_table_of(key.strip())][key.strip()] = _value(text.strip())
+        whole[_table_of(key.strip())][key.strip()] = _value(text.strip())
     if switch is not None:
-        data["adaptation"]["switch"] = switch
+        whole["adaptation"]["switch"] = switch
     if real_time:
-        data["operation"]["real_time"] = True
-    return convert(data, Configuration, "--set" if overrides else "configuration")
+        whole["operation"]["real_time"] = True
+    try:
+        return convert(whole, Configuration, "--set" if overrides else "configuration")
+    except UserError:
+        if file is not None and _fault(whole) == _fault(data):
+            convert(data, Configuration, str(file))  # what is wrong is the file's own
+        raise
+
+
+def _fault(data: dict[str, Any]) -> str:
+    """Return what is wrong with a configuration; empty when nothing is."""
+    try:
+        convert(data, Configuration, "")
+    except UserError as error:
+        return str(error)
+    return ""

@@ -45,7 +45,8 @@ class Summary(msgspec.Struct, kw_only=True):
     """One flight in counts and times; what depends on the wall clock is here and not in the log."""
 
     outcome: str
-    """over, lost, silent, stopped or replaced (the aircraft's side began another flight)."""
+    """over, lost, silent, stopped, replaced (the aircraft's side began another flight) or failed (the link, or the
+    runtime itself)."""
     seconds: float
     """Simulated time from the first to the last state [s]."""
     wall_seconds: float
@@ -56,7 +57,7 @@ class Summary(msgspec.Struct, kw_only=True):
     missed: int
     """Samples that did not come in time (real time)."""
     skipped: int
-    """States that were there but older than another (real time)."""
+    """States that were there but older than another (real time, or in one datagram with it)."""
     repeated: int
     """States that came again and were answered again."""
     gaps: int
@@ -173,6 +174,7 @@ class Recorder:
         self._reserve = configuration.adaptation.elevator_reserve
         self._flush_ticks = configuration.operation.flush_ticks
         self._unflushed = 0
+        self._dropping = False
         self._write_beside("config", configuration)
 
     def _head(
@@ -266,10 +268,20 @@ class Recorder:
         if severity < Severity.INFO:
             self._log.flush()
 
+    def trouble(self) -> str:
+        """Return what is to be said of the log from now on; empty when nothing is, or it was said."""
+        before, self._dropping = self._dropping, self._log.dropping
+        if self._dropping == before:
+            return ""
+        return "the disk is too slow: the log has a gap from here on" if self._dropping else "the log goes on"
+
     def close(self, summary: Summary) -> None:
         """Close the log and write the summary beside it."""
         self._log.close()
         summary.log_error = self._log.error
-        self._write_beside("summary", summary)
+        if self._log.hangs:
+            self.lost.append(f"{beside(self.path, 'summary')}: not written to a disk that hangs")
+        else:
+            self._write_beside("summary", summary)
         if self._log.error:
             self.lost.insert(0, self._log.error)

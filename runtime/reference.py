@@ -66,7 +66,7 @@ class RecordedReference:
 
 
 class LiveReference:
-    """The newest set-point from the link, held until the next; before the first, level at the pitch found."""
+    """The newest set-point from the link, held until the next; before a flight's first, level at the pitch found."""
 
     def __init__(self) -> None:
         self._now = np.zeros(N_REFERENCE)
@@ -78,8 +78,12 @@ class LiveReference:
             self._now[REFERENCE.theta], self._now[REFERENCE.phi] = theta, phi
             self._told = True
 
+    def release(self) -> None:
+        """End a flight: what was asked of it is not asked of the next one."""
+        self._now[:], self._told = 0.0, False
+
     def start(self, x: np.ndarray) -> None:
-        """Begin a flight: hold the pitch of x (12,) with wings level unless a set-point came before."""
+        """Begin a flight: hold the pitch of x (12,) with wings level unless a set-point came since the last one."""
         if not self._told:
             self._now[REFERENCE.theta] = x[STATE.theta]
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from runtime.clock import Clock, RateKeeper, SteppedClock, harden
+from runtime.clock import Clock, RateKeeper, SteppedClock, hardened
 from runtime.config import Adaptation, Configuration
 from runtime.ensemble import Ensemble
 from runtime.excitation import Excitation
@@ -20,15 +21,16 @@ from runtime.imagination import Imagination, Imagines, Snapshot
 from runtime.laws.catalogue import load_settings, make_law
 from runtime.laws.solo import NoPlays, Solo
 from runtime.link import Link, Sample, Severity
-from runtime.loop import Loop, Outcome
+from runtime.loop import Loop, Outcome, in_words
 from runtime.plays import Plays
 from runtime.policy import Policy
 from runtime.population import BehaviouralPolicy, Population, probe
 from runtime.recorder import BESIDE, Recorder, Summary, beside, check_writable, percentiles
-from runtime.reference import Reference
+from runtime.reference import LiveReference, Reference
 from runtime.switching import Cast, opposed
 from task.errors import UserError
-from task.state import N_REFERENCE, N_STATE
+from task.law_names import own_digest
+from task.state import N_REFERENCE, N_STATE, STATE
 
 
 class Flown(NamedTuple):
@@ -39,6 +41,8 @@ class Flown(NamedTuple):
     summary: Summary
     lost: tuple[str, ...] = ()
     """What of its record could not be written, and why."""
+    failure: str = ""
+    """Why the link failed, where that ended the flight."""
 
 
 def log_path(log: Path, number: int) -> Path:
@@ -104,7 +108,9 @@ class Session:
         self._link, self._population, self._reference = link, population, reference
         self._configuration, self._log, self._overwrite = configuration, log, overwrite
         self._say, self._stopped = say, stopped
-        self._information = {"population_sha256": population.sha256, **(information or {})}
+        own = {name: digest for name in adaptation.laws if (digest := own_digest(name))}
+        told = {"laws_sha256": msgspec.json.encode(own).decode()} if own else {}
+        self._information = {"population_sha256": population.sha256, **told, **(information or {})}
         self._policy: Policy = population.law if isinstance(population, Solo) else BehaviouralPolicy(population)
         cast = None if isinstance(population, Solo) else population
         self._members = population.members if cast is None else members_of(cast, adaptation)
@@ -122,7 +128,7 @@ class Session:
         self._ensemble: Ensemble | None = None
         if isinstance(self._policy, BehaviouralPolicy) and adaptation.laws:
             settings = load_settings()
-            laws = [make_law(name, settings, operation.dt) for name in adaptation.laws]
+            laws = [make_law(name, settings, operation.dt, member=True) for name in adaptation.laws]
             self._policy = self._ensemble = Ensemble(self._policy, laws, self._cast, self._model)
         self._imagination: Imagines | None = (
             None if cast is None else Imagination(cast, self._horizon, len(adaptation.laws))
@@ -141,7 +147,9 @@ class Session:
 
     def _rehearse(self) -> None:
         """Run every part once, so that nothing is slow the first time that it matters."""
-        self._policy.steer(np.zeros(N_STATE), np.zeros(N_REFERENCE))
+        x = np.zeros(N_STATE)
+        x[[STATE.V, STATE.h]] = 90.0, 2000.0  # somebody's law may divide by them
+        self._policy.steer(x, np.zeros(N_REFERENCE))
         if self._imagination is None:
             return
         identified = self._model.snapshot()
@@ -165,13 +173,18 @@ class Session:
     def fly(self) -> list[Flown]:
         """Wait for the first state, and fly until there is no next flight; return every flight flown.
 
-        Raises UserError when no usable state comes within ``start_patience``, or none at all before a stop.
+        A link that fails in flight (OSError) ends it, as its outcome says. Raises UserError when no usable state comes
+        within ``start_patience``, or the link fails before one came.
         """
         operation = self._configuration.operation
-        if operation.real_time:
-            self._real_time = harden(operation.core)
+        with ExitStack() as stack:
+            if operation.real_time:
+                self._real_time = stack.enter_context(hardened(operation.core))
             for line in self._real_time:
                 self._say(line)
+            return self._fly_all()
+
+    def _fly_all(self) -> list[Flown]:
         sample = self._first_state()
         flown: list[Flown] = []
         while sample is not None:
@@ -188,7 +201,12 @@ class Session:
         deadline = time.monotonic() + self._configuration.operation.start_patience
         unusable = ""
         while time.monotonic() < deadline:
-            sample = self._link.read(0.2)
+            try:
+                sample = self._link.read(0.2)
+            except OSError as error:
+                raise UserError(
+                    f"the link failed before any state that could be flown came: {in_words(error)}"
+                ) from None
             if self._stopped():
                 return None
             if sample is None:
@@ -225,13 +243,20 @@ class Session:
             self._link, clock, self._policy, self._cast, self._model, plays, self._reference, self._guard, recorder,
             excitation, operation, members, self._say, self._stopped,
         )  # fmt: skip
-        outcome = loop.fly(first)
-        summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
-        recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
-        recorder.close(summary)
-        for line in recorder.lost:
-            self._say(line)
-        return Flown(outcome, path, summary, tuple(recorder.lost)), loop.next_flight
+        outcome = Outcome.FAILED
+        try:
+            outcome = loop.fly(first)
+        finally:  # whatever ended it, what was flown is on record
+            if isinstance(self._reference, LiveReference):
+                self._reference.release()
+            summary = self._summarise(loop, plays, clock, outcome, time.monotonic() - began)
+            if loop.failure:
+                recorder.message(loop.last.time_usec, Severity.CRITICAL, f"the link failed: {loop.failure}")
+            recorder.message(loop.last.time_usec, Severity.INFO, f"flight ends: {outcome}")
+            recorder.close(summary)
+            for line in recorder.lost:
+                self._say(line)
+        return Flown(outcome, path, summary, tuple(recorder.lost), loop.failure), loop.next_flight
 
     def _summarise(
         self, loop: Loop, plays: Plays | NoPlays, clock: Clock, outcome: Outcome, wall_seconds: float

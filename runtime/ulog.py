@@ -10,6 +10,7 @@ import math
 import queue
 import struct
 import threading
+import time
 from io import FileIO
 from pathlib import Path
 
@@ -77,13 +78,29 @@ class Topic:
 class ULog:
     """A log being written. Order: information, parameters and topics, then :meth:`begin`, then records and messages.
 
-    ``threaded`` hands blocks to a thread, so that a slow disk cannot hold the caller up. After an error of the disk,
-    from the first byte on, nothing more is written, and ``error`` says why; nothing raises.
+    ``threaded`` hands blocks to a thread, so that a slow disk cannot hold the caller up. While more than ``WAITING`` is
+    not on the disk yet, whole blocks are dropped, counted, and marked in the log by a dropout. After an error of the
+    disk, from the first byte on, nothing more is written. ``error`` says what is missing and why; nothing raises.
     """
+
+    WAITING = 2**24
+    """Bytes that wait for the disk at most: some ten minutes of a flight."""
+    CLOSE_PATIENCE = 10.0
+    """How long the disk may take for what waits at the end of a flight [s]; then the log ends where it is."""
 
     def __init__(self, path: Path, threaded: bool = False) -> None:
         self.path = path
         self.error = ""
+        self.dropped = 0
+        """Records and messages that the disk was too slow for."""
+        self.hangs = False
+        """Whether the disk did not even take the end of the log."""
+        self._records = 0
+        """In the block that is being filled."""
+        self._dropping_since: float | None = None
+        """[s of wall clock]"""
+        self._given = self._taken = 0
+        """Bytes handed to the thread, and written by it; each has one writer, so that no lock is asked for."""
         self._file: FileIO | None = None
         try:
             self._file = FileIO(path, "w")
@@ -129,21 +146,43 @@ class ULog:
     def write(self, topic: Topic, timestamp: int, *values: float) -> None:
         """Write one record; ``timestamp`` in microseconds."""
         self._block += topic.record(timestamp, *values)
+        self._records += 1
 
     def message(self, timestamp: int, severity: int, text: str) -> None:
         """Write a line of text; severity 0..7 as in MAV_SEVERITY."""
         start = struct.pack("<BQ", ord("0") + severity, int(_fitted("Q", timestamp)))
         self._message(b"L", start + text.encode(errors="replace")[: _LONGEST - len(start)])
+        self._records += 1
 
     def flush(self) -> None:
         """Hand what was written to the operating system."""
         if not self._block:
             return
         block, self._block = self._block, bytearray()
+        records, self._records = self._records, 0
         if self._thread is not None:
-            self._blocks.put(bytes(block))
+            self._hand_over(bytes(block), records)
         else:
             self._write(block)
+
+    def _hand_over(self, block: bytes, records: int) -> None:
+        """Give a block to the thread, or drop it where too much waits already."""
+        now = time.monotonic()
+        if self._given - self._taken + len(block) > self.WAITING:
+            self.dropped += records
+            if self._dropping_since is None:
+                self._dropping_since = now
+            return
+        if self._dropping_since is not None:
+            duration = min(round(1e3 * (now - self._dropping_since)), 0xFFFF)  # [ms]
+            block, self._dropping_since = struct.pack("<HBH", 2, ord("O"), duration) + block, None
+        self._given += len(block)
+        self._blocks.put(block)
+
+    @property
+    def dropping(self) -> bool:
+        """Whether what is written is being lost."""
+        return self._dropping_since is not None
 
     def _write(self, block: bytes | bytearray) -> None:
         view = memoryview(block)
@@ -156,13 +195,25 @@ class ULog:
     def _drain(self) -> None:
         while (block := self._blocks.get()) is not None:
             self._write(block)
+            self._taken += len(block)
+        self._close_file()
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write what is left and close the file; a disk that hangs is waited for ``CLOSE_PATIENCE``."""
         self.flush()
-        if self._thread is not None:
-            self._blocks.put(None)
-            self._thread.join()
+        if self._thread is None:
+            self._close_file()
+            return
+        self._blocks.put(None)
+        self._thread.join(self.CLOSE_PATIENCE)
+        self.hangs = self._thread.is_alive()
+        if self.hangs:
+            self.error = f"{self.path}: the log ends early: the disk took nothing more for {self.CLOSE_PATIENCE:g} s"
+        if self.dropped:
+            words = f"{self.dropped} records are missing that the disk was too slow for"
+            self.error = f"{self.error}; {words}" if self.error else f"{self.path}: {words}"
+
+    def _close_file(self) -> None:
         try:
             if self._file is not None:
                 self._file.close()

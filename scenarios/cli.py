@@ -36,10 +36,13 @@ def console() -> Console:
 def chosen_modes(text: str | None, default: Sequence[str]) -> list[schema.Mode]:
     """Return the modes of a comma-separated list, or the default ones. Raises UserError."""
     names = list(default) if text is None else [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in schema.CHOICES:
-            raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {', '.join(schema.CHOICES)}")
-    return [schema.CHOICES[name] for name in dict.fromkeys(names)]
+    modes = []
+    for name in dict.fromkeys(names):
+        mode = schema.mode_named(name)
+        if mode is None:
+            raise UserError(f"--modes {text}: unknown mode {name!r}; choose from {schema.KNOWN}")
+        modes.append(mode)
+    return modes
 
 
 def default_jobs(realtime: bool) -> int:
@@ -84,7 +87,7 @@ def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
 @click.command()
 @click.argument("scenario")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the scenarios.")
-@click.option("--modes", help="Comma-separated, of: " + ", ".join(schema.CHOICES) + ".  [default: the scenario's]")
+@click.option("--modes", help=f"Comma-separated, of: {schema.KNOWN}.  [default: the scenario's]")
 @click.option("--references", "count", type=click.IntRange(min=1, max=1000),
               help="Fly this many random references in place of the scenario's.")  # fmt: skip
 @click.option("--population", help="Folder of the cast, or its name under populations/.  [default: the scenario's]")

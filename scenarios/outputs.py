@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,11 @@ from task.files import make_folder
 
 LOCK = ".flying"
 """A file in the folder of a scenario that the command which flies there keeps locked; the lock ends with it."""
+
+
+def file_name(mode: str) -> str:
+    """Return a mode as the name of a file or folder: a law of one's own may name a file in a folder."""
+    return re.sub(r"[^\w.-]", "_", mode)
 
 
 @contextmanager

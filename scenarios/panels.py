@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,10 +30,13 @@ MODE_COLOURS = {
     "ensemble": "#009E73",
     "pid": "#8c6d31",
     "indi": "#9a9a9a",
+    "indi-rls": "#bcbd22",
     "indi-rls-signfree": "#000000",
     "indi-rls-protected": "#8c564b",
 }
 """Okabe and Ito's colours, told apart by the colour-blind; the recipe gives the hue, hard or soft its depth."""
+OWN_COLOURS = ("#5500cc", "#004d40", "#ff00cc", "#661100", "#1a237e")
+"""For laws of one's own, by name, so that one keeps its colour."""
 ROOM_FOR_LABEL = 10.0
 """A fault that begins later than this [s] is named before its line, where no loss is marked over it."""
 LABEL_GROUND = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
@@ -98,7 +102,7 @@ def verdict(score: Score) -> str:
 
 def colour(mode: str) -> str:
     """Return the colour of a mode."""
-    return MODE_COLOURS.get(mode, "#009E73")
+    return MODE_COLOURS.get(mode) or OWN_COLOURS[zlib.crc32(mode.encode()) % len(OWN_COLOURS)]
 
 
 def shade_fault(ax: Axes, flight: FlightTrace, label: bool = False) -> None:

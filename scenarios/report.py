@@ -10,8 +10,8 @@ from typing import Any
 import jinja2
 
 from scenarios.figures import comparison, detail, save
-from scenarios.outputs import writing
-from scenarios.panels import MODE_COLOURS, Flown, verdict
+from scenarios.outputs import file_name, writing
+from scenarios.panels import Flown, colour, verdict
 from scenarios.run import Result
 from scenarios.schema import Scenario, to_toml
 from scenarios.score import Score
@@ -66,7 +66,7 @@ def write_report(scenario: Scenario, results: Sequence[Result], out: Path) -> Pa
         flights=[_flight_row(r) for r in results] if len(references) > 1 else [],
         facts=_facts(results),
         scenario=to_toml(scenario),
-        colours=MODE_COLOURS,
+        colours={row.mode: colour(row.mode) for row in rows},
     )
     path = out / "report.html"
     write_whole(path, lambda file: file.write(page.encode()))
@@ -97,7 +97,7 @@ def _pictures(
         drawn.append((title, one.mode, detail(one, title)))
     pictures = []
     for title, name, figure in drawn:
-        png = save(figure, folder / f"{name}.png").read_bytes()
+        png = save(figure, folder / f"{file_name(name)}.png").read_bytes()
         pictures.append({"title": title, "png": base64.b64encode(png).decode()})
     pictures[0]["title"] += f" ({which})"
     return pictures

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import msgspec
 
-from scenarios.outputs import writing
+from scenarios.outputs import file_name, writing
 from scenarios.processes import Process, StoppedError, free_port, supervise
 from scenarios.references import NamedReference, csv_bytes
 from scenarios.schema import Mode, to_toml
@@ -26,6 +26,7 @@ from sim_bridge.truth import write_whole
 from task.config import load_json, to_json
 from task.errors import UserError
 from task.files import make_folder
+from task.law_names import own_digest
 from task.reference import n_samples
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -143,7 +144,7 @@ def plan(
             mode=mode,
             reference=reference,
             population=population,
-            folder=out / mode.name / reference.name,
+            folder=out / file_name(mode.name) / reference.name,
             realtime=realtime,
         )
         for i, reference in enumerate(references)
@@ -171,6 +172,7 @@ def inputs_digest(job: Job) -> str:
     digest.update(to_toml(job.flight).encode())
     digest.update(csv_bytes(job.reference.rows))
     digest.update(repr((tuple(job.mode), job.realtime)).encode())
+    digest.update(own_digest(job.mode.law).encode())
     digest.update((job.population / "manifest.json").read_bytes())
     return digest.hexdigest()
 

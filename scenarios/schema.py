@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 
 from sim_bridge.flight import Flight
 from task.config import Settings, load_toml
 from task.errors import UserError
+from task.law_names import LAWS, OWN, own_law
 from task.reference import FAMILIES, FamilyName
 
 FOLDER = Path(__file__).parent
@@ -25,8 +26,8 @@ class Mode(NamedTuple):
     name: str
     preset: Literal["thesis", "understudy", "structured", "ensemble"]
     switch: Literal["none", "hard", "soft"]
-    law: Literal["pid", "indi", "indi-rls-signfree", "indi-rls-protected"] | None = None
-    """A classical law that flies in the population's place (docs/laws.md)."""
+    law: str | None = None
+    """A law that flies in the population's place: a shipped one (docs/laws.md), or one's own (docs/own.md)."""
 
 
 MODES: dict[str, Mode] = {
@@ -45,30 +46,18 @@ STRUCTURED = {name: Mode(name, name, "soft") for name in ("structured", "ensembl
 """The presets for surfaces that work backwards (docs/adaptation.md), networks alone and with laws as members; flown
 when they are asked for."""
 
-PEERS: dict[str, Mode] = {
-    "pid": Mode("pid", "understudy", "none", "pid"),
-    "indi": Mode("indi", "understudy", "none", "indi"),
-    "indi-rls-signfree": Mode("indi-rls-signfree", "understudy", "none", "indi-rls-signfree"),
-    "indi-rls-protected": Mode("indi-rls-protected", "understudy", "none", "indi-rls-protected"),
-}
+PEERS: dict[str, Mode] = {law: Mode(law, "understudy", "none", law) for law in LAWS}
 """Classical laws on the same link, references and faults; flown when they are asked for."""
 
 CHOICES = MODES | STRUCTURED | PEERS
-"""Every mode that can be flown."""
+"""Every mode that has a name; a law of one's own is another, called as ``task.law_names`` says."""
 
-ModeName = Literal[
-    "none",
-    "thesis-hard",
-    "thesis-soft",
-    "understudy-hard",
-    "understudy-soft",
-    "structured",
-    "ensemble",
-    "pid",
-    "indi",
-    "indi-rls-signfree",
-    "indi-rls-protected",
-]
+KNOWN = f"{', '.join(CHOICES)}, or {OWN} of a law of your own"
+
+
+def mode_named(name: str) -> Mode | None:
+    """Return the mode of this name; None when there is none."""
+    return CHOICES.get(name) or (Mode(name, "understudy", "none", name) if own_law(name) else None)
 
 
 class References(Settings, frozen=True):
@@ -107,7 +96,7 @@ class Scenario(Settings, frozen=True):
     """The bridge's side: duration, condition, wind, sensors, faults, seed."""
     references: References = References()
     """The references; the pitch reference of ``base`` and ``random`` is added to the trim pitch."""
-    modes: tuple[ModeName, ...] = get_args(ModeName)[: len(MODES)]
+    modes: tuple[str, ...] = tuple(MODES)
     """Which modes are flown, all on the same references; ``structured`` and the laws only when they are named."""
     population: str = "serl50"
     """The cast: a folder, or the name of one under ``populations/``."""
@@ -133,7 +122,10 @@ def load_scenario(path: Path) -> Scenario:
     scenario = load_toml(path, Scenario, "scenario")
     references = scenario.references
     if not scenario.modes:
-        raise UserError(f"{path}: modes: expected at least one of {', '.join(CHOICES)}, got none")
+        raise UserError(f"{path}: modes: expected at least one of {KNOWN}, got none")
+    for i, name in enumerate(scenario.modes):
+        if mode_named(name) is None:
+            raise UserError(f"{path}: unknown mode {name!r} - at `$.modes[{i}]`; choose from {KNOWN}")
     if len(set(scenario.modes)) < len(scenario.modes):
         raise UserError(f"{path}: modes: expected each mode once, got {', '.join(scenario.modes)}")
     for fault in scenario.flight.beyond_its_end():

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import codecs
+import inspect
+import itertools
 import math
 import re
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,12 +39,14 @@ class _Place(NamedTuple):
     """What is there."""
     around: Any
     """What is expected of the table that it lies in."""
+    unit: str = ""
+    """Of the number there, in brackets with a space before it; empty where the field does not say it."""
 
 
 def _place(kind: Any, data: Any, message: str) -> _Place | None:
     """Return where ``message`` points to; None where it does not say so."""
     path = re.search(r"`\$([^`]*)`$", message)
-    around = kind
+    around, unit = kind, ""
     for key, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", path[1] if path else ""):
         if key:
             struct = _struct(kind, data)
@@ -48,7 +54,9 @@ def _place(kind: Any, data: Any, message: str) -> _Place | None:
                 return None
             around, data = kind, data[key]
             fields = msgspec.structs.fields(struct) if struct else ()
-            kind = next((f.type for f in fields if f.encode_name == key), None)  # None: the tag of a struct
+            field = next((f for f in fields if f.encode_name == key), None)
+            kind = field.type if field else None  # None: the tag of a struct
+            unit = _unit(struct, field.name) if struct and field else ""
         elif index == "...":  # a mapping, whose key the message does not give
             inner = _value_kind(kind)
             found = [value for value in data.values() if _refused(value, inner)] if isinstance(data, dict) else []
@@ -57,7 +65,26 @@ def _place(kind: Any, data: Any, message: str) -> _Place | None:
             around, kind, data = kind, inner, found[0]
         else:
             around, data = kind, data[int(index)]
-    return _Place(kind, data, around)
+    return _Place(kind, data, around, unit)
+
+
+def _unit(struct: type[msgspec.Struct], name: str) -> str:
+    """Return the unit that a field's docstring gives, the first [in brackets] that is none of numbers, as it is there.
+
+    Docstrings of fields are in the source alone; where that is not at hand, a message does without the unit.
+    """
+    for base in struct.__mro__:
+        try:
+            body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        except (OSError, TypeError, SyntaxError):
+            continue
+        for field, after in itertools.pairwise(body.body if isinstance(body, ast.ClassDef) else ()):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.target.id == name:
+                said = after.value if isinstance(after, ast.Expr) else None
+                text = str(said.value) if isinstance(said, ast.Constant) else ""
+                found = re.search(r"\[(1/[^\];]*|[^\]\d][^\];]*)", text)
+                return f" [{' '.join(found[1].split())}]" if found and found[1] != "-" else ""
+    return ""
 
 
 def _value_kind(kind: Any) -> Any:
@@ -96,7 +123,8 @@ def _explained(kind: Any, data: Any, message: str) -> str:
         choices = _choices(place.kind if said.startswith("Invalid enum") else place.around)
         return f"{message}; choose from {', '.join(map(str, dict.fromkeys(choices)))}" if choices else message
     if said.startswith(("Expected", "Number out of range")) and ", got " not in said:
-        return f"{said}, got {_short(place.value)}{dash}{where}"
+        unit = place.unit if isinstance(place.value, (int, float)) else ""
+        return f"{said}{unit}, got {_short(place.value)}{dash}{where}"
     return message
 
 

@@ -49,12 +49,11 @@ class Watched(GymnasiumRollouts):
     def fly(
         self, network: Network, parameters: np.ndarray, tasks: np.ndarray, noise: np.ndarray | None = None
     ) -> Flights:
-        """See :meth:`GymnasiumRollouts.fly`; flights with noise are the trainer's."""
+        """See :meth:`GymnasiumRollouts.fly`; flights with noise are the trainer's, those of one its learner's alone."""
         flights = super().fly(network, parameters, tasks, noise)
-        if noise is not None:
+        if noise is not None and len(parameters) > 1:
             genetic = flights.returns().mean(axis=1)[:-1]
-            best = int(genetic.argmax()) if len(genetic) else -1
-            self.fittest = parameters[[best]].copy()
+            self.fittest = parameters[[int(genetic.argmax())]].copy()
         return flights
 
 

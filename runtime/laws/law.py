@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 import numpy as np
@@ -60,6 +60,8 @@ class Law:
 
     name = "law"
     """What the log calls it."""
+    settings: ClassVar[type[Settings] | None] = None
+    """Of a law of one's own: what its settings are, which its ``__init__`` takes after dt (docs/own.md)."""
 
     def __init__(self, airframe: Airframe, dt: float = DT) -> None:
         self._airframe = airframe

@@ -1,4 +1,4 @@
-"""A classical law alone in one cell: the cycle of :class:`runtime.loop.Loop` in fewer words, bit for bit the same.
+"""A law alone in one cell: the cycle of :class:`runtime.loop.Loop` in fewer words, bit for bit the same.
 
 Nothing is identified, imagined or recorded: what an estimator is changed to does not change these flights.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
-from runtime.laws.catalogue import LawName, load_settings, make_law
+from runtime.laws.catalogue import load_settings, make_law
 from scenarios.campaign.design import Cell, reference_rows
 from scenarios.campaign.scores import Events, Record, score
 from scenarios.campaign.trace import Course
@@ -26,8 +26,8 @@ class Laws:
         self._plant = plant
         self._settings = load_settings()
 
-    def fly(self, cell: Cell, name: LawName) -> Record:
-        """Fly the law ``name`` from the first sample on."""
+    def fly(self, cell: Cell, name: str, row_name: str) -> Record:
+        """Fly the law ``name`` from the first sample on; tables call it ``row_name``."""
         world, guard, law = World(cell.flight, self._plant), Guard(Operation()), make_law(name, self._settings)
         course = Course(reference_rows(cell, float(world.x[STATE.theta])))
         with np.errstate(all="ignore"):
@@ -43,4 +43,4 @@ class Laws:
                 course.command[k] = command
                 law.sent(command)
                 world.step(command)
-        return score(cell, name, "", course.trace(), Events(cell.fault_at, ""))
+        return score(cell, row_name, "", course.trace(), Events(cell.fault_at, ""))

@@ -32,6 +32,7 @@ from scenarios.results_page import page
 from sim_bridge.truth import write_whole
 from task.errors import UserError
 from task.files import find_population, make_folder
+from task.law_names import OWN
 from task.results import Result, read, write
 from understudy import stopping
 
@@ -134,9 +135,11 @@ def _derived(campaign: Campaign) -> str:
 @click.option("--references", "count", type=click.IntRange(1, 999), default=30, show_default=True,
               help="Flights of every fault; more later go on from these.")  # fmt: skip
 @click.option("--population", default="citation", show_default=True, help="Folder of the cast, or its name.")
-@click.option("--rows", help=f"Comma-separated, of: {', '.join(row_names())}.  [default: all that imagine in "
-              "the runtime's model]")  # fmt: skip
-@click.option("--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...]; may be repeated.")
+@click.option("--rows", help=f"Comma-separated, of: {', '.join(row_names())}, or {OWN} of a law of your own.  "
+              "[default: all that imagine in the runtime's model]")  # fmt: skip
+@click.option(
+    "--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...] or NAME=LAW; may be repeated."
+)
 @click.option("--ours", help=f"Comma-separated rows that the claims are about.  [default: {OURS}]")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
 @click.option("--oracle-laws", "laws", default="",

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from runtime.identification import IncrementalModel
-from runtime.laws.catalogue import LawName, load_solo
+from runtime.laws.catalogue import load_settings, load_solo, make_law
 from runtime.laws.solo import Solo
 from runtime.link import LOST, OVER, Sample
 from runtime.population import Population
@@ -99,13 +98,15 @@ class Flyer:
         members_of(who, adaptation)
         if adaptation.laws:
             who.laws_graph()
+        for law in adaptation.laws:
+            make_law(law, load_settings(), DT, member=True)
         IncrementalModel(
             adaptation, who.command_lag, who.theta, who.p0, DT, who.rates, who.max_delay, who.learnt_at
         )  # fmt: skip
 
     def fly(self, cell: Cell, row: Row) -> Record:
         """Fly a row: a law by itself, all else through the runtime's own loop."""
-        return self._laws.fly(cell, row.alone) if row.alone else self.fly_session(cell, row)
+        return self._laws.fly(cell, row.alone, row.name) if row.alone else self.fly_session(cell, row)
 
     def fly_session(self, cell: Cell, row: Row) -> Record:
         """Fly a row through the runtime's own loop."""
@@ -128,6 +129,8 @@ class Flyer:
                     )
                 )
             (flown,) = session.fly()
+        if flown.failure:
+            raise RuntimeError(flown.failure)
         events.check(flown.summary.switches, flown.summary.alarms)
         trace = link.course.trace()
         events.end(len(trace.x) * DT)
@@ -137,7 +140,7 @@ class Flyer:
         """Fly every member from the moment of the fault on; until then the champion flies."""
         return self._members.fly(cell)
 
-    def _law(self, name: LawName | Literal["pid-mirrored"]) -> Solo:
+    def _law(self, name: str) -> Solo:
         if name != MIRRORED:
             return load_solo(name)
         self._mirrored = self._mirrored or load_mirrored(self._population.rates)

@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 import msgspec
 
 from runtime.config import Configuration
-from runtime.laws.catalogue import LAWS, LawName
 from runtime.presets import PRESETS, resolve
 from scenarios.campaign.mirrored import MIRRORED
 from task.config import Settings
 from task.errors import UserError
+from task.law_names import LAWS, OWN, own_law
 
 MEMBERS = "members"
 """The task in which every member flies from the fault on, the champion until then: rows none, oracle and robust."""
@@ -39,17 +39,17 @@ class Row(Settings, frozen=True):
     """Preset of the runtime."""
     changes: tuple[str, ...] = ()
     """``key=value`` over the preset, as the runtime's ``--set``."""
-    law: LawName | Literal["pid-mirrored"] | None = None
-    """A law that flies in the cast's place."""
+    law: str | None = None
+    """A law that flies in the cast's place: a shipped one, one's own (``task.law_names``), or ``pid-mirrored``."""
     model: Literal["identified", "aircraft"] = "identified"
     """In what the cast is imagined: the runtime's model, or the aircraft itself (``scenarios.campaign.perfect``)."""
     stage: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     """In the aircraft itself each imagined flight may change its member once more after so long [s]; 0: never."""
 
     @property
-    def alone(self) -> LawName | None:
+    def alone(self) -> str | None:
         """The law that flies by itself, without population and estimator; None in every other row."""
-        return None if self.law == "pid-mirrored" else self.law
+        return None if self.law == MIRRORED else self.law
 
     def configuration(self, preview: bool) -> Configuration:
         """Return the runtime's configuration. Raises UserError."""
@@ -92,11 +92,15 @@ def _split(text: str) -> list[str]:
 
 
 def parse_row(text: str) -> Row:
-    """Return the row of ``NAME=PRESET[,key=value...]``. Raises UserError."""
+    """Return the row of ``NAME=PRESET[,key=value...]`` or ``NAME=LAW``. Raises UserError."""
     name, equals, rest = text.partition("=")
     preset, *changes = _split(rest)
     if not equals or not name or name in (MEMBERS, *DERIVED):
-        raise UserError(f"--row {text}: expected NAME=PRESET[,key=value...] with a name of its own")
+        raise UserError(f"--row {text}: expected NAME=PRESET[,key=value...] or NAME=LAW, with a name of its own")
+    if preset in LAWS or own_law(preset):
+        if changes:
+            raise UserError(f"--row {text}: a law takes no key=value; its settings are in {OWN}@FILE.toml")
+        return Row(name=name, law=preset)
     row = Row(name=name, preset=preset, changes=tuple(changes))
     row.configuration(True)
     return row
@@ -122,8 +126,13 @@ def choose_rows(names: str | None, extra: tuple[str, ...]) -> list[Row | Literal
             chosen.append("members")
         elif name in known:
             chosen.append(known[name])
+        elif own_law(name):
+            chosen.append(Row(name=name, law=name))
         else:
-            raise UserError(f"--rows {names}: unknown row {name!r}; choose from {', '.join(row_names())}")
+            raise UserError(
+                f"--rows {names}: unknown row {name!r}; choose from {', '.join(row_names())}, or {OWN} of a law of "
+                "your own"
+            )
     chosen += [parse_row(text) for text in extra]
     if not chosen:
         raise UserError(f"--rows {names}: expected at least one row; choose from {', '.join(row_names())}")

@@ -25,6 +25,7 @@ from scenarios.campaign.rows import Row
 from scenarios.campaign.scores import Record
 from scenarios.campaign.store import Entry, Journal, from_plain, plain
 from task.errors import UserError
+from task.law_names import own_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 AIRCRAFT_SOURCES = ("sim_bridge", "task", *(f"scenarios/campaign/{name}.py" for name in ("design", "trace", "scores")))
@@ -88,9 +89,15 @@ def code_of(task: Task) -> str:
     """Return the hash of the program that flies a task."""
     if isinstance(task.row, str):
         return code_hash(MEMBER_SOURCES)
-    if task.row.alone:
-        return code_hash(LAW_SOURCES)
-    return code_hash(PERFECT_SOURCES if task.row.model == "aircraft" else ROW_SOURCES)
+    sources = PERFECT_SOURCES if task.row.model == "aircraft" else ROW_SOURCES
+    ours, theirs = code_hash(LAW_SOURCES if task.row.alone else sources), own_code(task.row)
+    return hashlib.sha256((ours + theirs).encode()).hexdigest()[:16] if theirs else ours
+
+
+@functools.cache
+def own_code(row: Row) -> str:
+    """Return a hash of the laws of one's own that fly in a row; empty where there are none."""
+    return "".join(map(own_digest, [row.law] if row.law else row.configuration(True).adaptation.laws))
 
 
 def plan(cells: Iterable[Cell], rows: Sequence[Row | Literal["members"]]) -> list[Task]:

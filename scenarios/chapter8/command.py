@@ -23,6 +23,8 @@ from task.files import find_population, make_folder
 from task.results import FOLDER, Claim, Result, Table, write
 
 SCENARIO = "cg_shift"
+FLOWN_LAWS = ("pid", "indi", "indi-rls-signfree", "indi-rls-protected")
+"""The peers of the stored table."""
 WORSE = 2.0
 """A flight counts as made worse when its nMAE grows by more than this [%]."""
 
@@ -153,7 +155,15 @@ def main(count: int, population: str | None, out: Path | None, results: Path, jo
     screen = console()
     try:
         flown = fly_scenario(
-            scenario, path.parent, [*MODES.values(), *PEERS.values()], cast, out, False, jobs, fresh, screen
+            scenario,
+            path.parent,
+            [*MODES.values(), *(PEERS[law] for law in FLOWN_LAWS)],
+            cast,
+            out,
+            False,
+            jobs,
+            fresh,
+            screen,
         )
     except KeyboardInterrupt:
         click.echo(f"understudy: stopped; what was flown is kept in {out}", err=True)

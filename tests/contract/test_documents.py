@@ -205,11 +205,16 @@ def test_the_policy_of_ones_own_is_saved(tmp_path):
     assert load_run(tmp_path / "runs/mine").parameters.shape == (2, 179)
 
 
-def test_the_law_of_ones_own_tracks(place):
+@pytest.mark.parametrize("how", ["script", "command"])
+def test_the_law_of_ones_own_tracks(place, how):
     folder, port = place
-    (folder / "my_law.py").write_text(script("class MyLaw").replace("14560", str(port)))
+    (folder / "my_law.py").write_text(script("class MyLaw"))
+    (folder / "fly_mine.py").write_text(script('load_solo("my_law:MyLaw")').replace("14560", str(port)))
+    (folder / "fast.toml").write_text("pitch = 1.5\n")
+    command = ["-m", "runtime", "--link", f"udpin:127.0.0.1:{port}", "--law", "my_law:MyLaw@fast.toml"]
+    command += ["--reference", "reference.csv", "--log", "mine.ulg"]
     flight = ["-m", "sim_bridge", "--link", f"udpout:127.0.0.1:{port}", "--duration", "12"]
-    assert "flying" in together(folder, ["my_law.py"], flight)
+    assert "flying" in together(folder, ["fly_mine.py"] if how == "script" else command, flight)
     x = np.load(folder / "truth.npz")["x"][-1]
     np.testing.assert_allclose(x[[STATE.theta, STATE.phi, STATE.beta]], [0.05, 0.1, 0.0], atol=0.08)
     assert json.loads((folder / "mine.summary.json").read_text())["outcome"] == "over"

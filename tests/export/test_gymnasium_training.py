@@ -15,7 +15,7 @@ from export.training import checkpoint
 from export.training.cli import train as command
 from export.training.config import CONFIGS, EnvironmentSettings, TrainingConfig, as_toml, load
 from export.training.gymnasium_rollouts import GymnasiumRollouts
-from export.training.gymnasium_run import BANDS, episodes, load_agents, read_bands
+from export.training.gymnasium_run import BANDS, Watched, episodes, load_agents, read_bands
 from export.training.memory import Replay
 from export.training.networks import actor_network
 from export.training.td3 import TD3
@@ -117,6 +117,20 @@ def test_the_learner_alone_trains_too(tmp_path: Path) -> None:
     assert [m.name for m in agents.description.members] == ["td3"]
     (point,) = read_bands(tmp_path / "run" / BANDS)
     assert point.champion == point.learner
+
+
+def test_further_flights_of_the_learner_leave_the_fittest_actor_in_the_curve(tiny: Path) -> None:
+    config = load(str(tiny))
+    assert config.environment is not None
+    rollouts = Watched(config.environment)
+    network = actor_network(config.actor, 3, (2.0,))
+    parameters = np.random.default_rng(0).normal(size=(5, n_parameters(network))).astype(np.float32)
+    tasks = rollouts.draw(np.random.default_rng(1), 2)
+    noise = np.zeros((rollouts.ticks, 2, 1), dtype=np.float32)
+    returns = rollouts.fly(network, parameters, tasks, noise).returns().mean(axis=1)
+    best = int(returns[:-1].argmax())
+    rollouts.fly(network, parameters[-1:], tasks, noise)
+    np.testing.assert_array_equal(rollouts.fittest, parameters[[best]])
 
 
 def test_ddpg_is_td3_without_its_three_additions() -> None:

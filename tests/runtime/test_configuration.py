@@ -53,6 +53,8 @@ def test_a_record_that_is_none_is_one_line(tmp_path):
         (("kappa",), "expected key=value"),
         (("kappa=2",), "kappa"),
         (("kappa=fast",), "kappa"),
+        (("excitation=5",), r"expected `float` <= 0\.17\d+ \[rad\], got 5 - at `\$\.adaptation\.excitation`"),
+        (("rate_limits=[-1]",), r"expected `float` > 0\.0 \[rad/s\], got -1 - at `\$\.adaptation\.rate_limits\[0\]`"),
         (("switch=sometimes",), "switch"),
         (("model=full",), "prior = 'population'"),
         (("prior=scheduled",), "prior = 'scheduled' needs identify = false"),
@@ -101,6 +103,35 @@ def test_a_bad_file_is_one_line(tmp_path, text, line):
     file.write_text(text)
     with pytest.raises(UserError, match=line):
         resolve(None, file)
+
+
+def test_what_an_option_makes_whole_need_not_be_valid_in_the_file_alone(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('[adaptation]\nprior = "scheduled"\n')
+    assert resolve("understudy", file, ("identify=false",)).adaptation.prior == "scheduled"
+    file.write_text('[adaptation]\nprior = "none"\nidentify = false\nmargin = 0.2\n')
+    assert resolve("understudy", file, (), "none").adaptation.margin == 0.2
+    assert resolve("understudy", file, ("identify=true",)).adaptation.prior == "none"
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "line"),
+    [
+        ('prior = "scheduled"', (), r"mine\.toml: prior = 'scheduled' needs"),
+        ('prior = "scheduled"', ("margin=0.2",), r"mine\.toml: prior = 'scheduled' needs"),
+        ('prior = "scheduled"', ("kappa=2",), r"--set: expected `float` <= 1\.0, got 2.*kappa"),
+        ("kappa = 2", ("kappa=3",), r"--set: expected `float` <= 1\.0, got 3.*kappa"),
+        ("kappa = 2", ("margin=0.2",), r"mine\.toml: expected `float` <= 1\.0, got 2.*kappa"),
+        ("identify = false", ("prior=none",), r"--set: prior = 'none' with identify = false"),
+        ("kapa = 2", ("margin=0.2",), r"mine\.toml: .*unknown field `kapa`"),
+    ],
+)
+def test_a_fault_is_that_of_whom_it_is(tmp_path, text, overrides, line):
+    file = tmp_path / "mine.toml"
+    file.write_text(f"[adaptation]\n{text}\n")
+    with pytest.raises(UserError, match=line):
+        resolve("understudy", file, overrides)
+    assert resolve("understudy", None) == resolve()  # nothing is left behind in the presets
 
 
 @pytest.mark.parametrize("kind", [Adaptation, Operation, Configuration])

@@ -329,6 +329,20 @@ def test_a_flood_of_origins_does_not_wash_the_aircrafts_away(pair):
     assert link.read(1.0).x[STATE.h] == pytest.approx(2000.0)
 
 
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_states_that_share_a_datagram_are_counted(make, lockstep):
+    link, port = make(lockstep=lockstep)
+    aircraft = Aircraft(port)
+    states = [aircraft.codec.odometry(10_000 * k, LEVEL) for k in range(3)]
+    aircraft.send(b"".join([aircraft.codec.origin(0), *states]))
+    assert link.read(1.0).time_usec == 20_000
+    assert link.skipped == 2
+    aircraft.send(aircraft.codec.odometry(30_000, LEVEL))
+    assert link.read(1.0).time_usec == 30_000
+    assert (link.skipped, link.repeated) == (2, 0)
+    aircraft.socket.close()
+
+
 def test_in_real_time_the_newest_state_counts(make):
     link, port = make(lockstep=False)
     aircraft = Aircraft(port)

@@ -1,3 +1,8 @@
+import fcntl
+import os
+import re
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -102,17 +107,124 @@ def test_percentiles_of_nothing_are_nothing():
     assert percentiles(np.arange(101.0)).p50 == 50.0
 
 
-def test_configuration_and_summary_lie_beside_the_log(tmp_path):
-    path = tmp_path / "flight.ulg"
-    recorder = Recorder(path, resolve("thesis"), "cast", ["a", "b"], tuple(STATE)[:10], {})
-    recorder.innovation(0, np.zeros(10), 1.0)
-    summary = Summary(
+def summary():
+    return Summary(
         outcome="over", seconds=1.0, wall_seconds=1.0, cycles=0, overruns=0, missed=0, skipped=0, repeated=0, gaps=0,
         plays=0, plays_skipped=0, plays_failed=0, switches=0, health={}, updates=0, updates_skipped=0, restarts=0,
         cycle_us=None, imagination_ms=None,
     )  # fmt: skip
-    recorder.close(summary)
+
+
+def test_configuration_and_summary_lie_beside_the_log(tmp_path):
+    path = tmp_path / "flight.ulg"
+    recorder = Recorder(path, resolve("thesis"), "cast", ["a", "b"], tuple(STATE)[:10], {})
+    recorder.innovation(0, np.zeros(10), 1.0)
+    recorder.close(summary())
     assert beside(path, "config") == tmp_path / "flight.config.json"
     assert '"preset": "thesis"' in beside(path, "config").read_text()
     assert '"outcome": "over"' in beside(path, "summary").read_text()
     assert next(iter(Reader(str(path)).data_list)).name == "innovation"
+
+
+class SlowDisk:
+    """A pipe in the place of a disk: it takes 4 kB, and more only as somebody reads."""
+
+    def __init__(self, path):
+        os.mkfifo(path)
+        self.path, self.reader = path, os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        fcntl.fcntl(self.reader, fcntl.F_SETPIPE_SZ, 4096)
+
+    def read(self):
+        try:
+            return os.read(self.reader, 2**20)
+        except BlockingIOError:
+            return b""
+
+    def read_until(self, done):
+        data = b""
+        while not done():
+            data += self.read()
+            time.sleep(0.001)
+        return data + self.read()
+
+    def close(self):
+        os.close(self.reader)
+
+
+@pytest.fixture
+def slow_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(ULog, "WAITING", 50_000)
+    disk = SlowDisk(tmp_path / "pipe")
+    yield disk
+    disk.close()
+
+
+def fill(log, topic, first, count):
+    for k in range(first, first + count):
+        log.write(topic, 1000 * k, k)
+        if k % 25 == 24:
+            began = time.monotonic()
+            log.flush()
+            assert time.monotonic() - began < 0.1
+
+
+def test_a_disk_that_hangs_for_a_while_costs_a_gap_that_is_counted_and_not_the_flight(slow_disk, tmp_path):
+    log = ULog(slow_disk.path, threaded=True)
+    topic = log.topic("t", [("uint32_t", "k")])
+    log.begin()
+    fill(log, topic, 0, 10_000)
+    assert log.dropping
+    dropped = log.dropped
+    assert dropped > 1000
+    assert log._given - log._taken <= ULog.WAITING
+    data = slow_disk.read_until(lambda: log._taken == log._given)
+    fill(log, topic, 10_000, 500)
+    assert not log.dropping
+    assert log.dropped == dropped
+    closing = threading.Thread(target=log.close)
+    closing.start()
+    data += slow_disk.read_until(lambda: not closing.is_alive())
+    (tmp_path / "read.ulg").write_bytes(data)
+    read = Reader(str(tmp_path / "read.ulg"))
+    k = read.data_list[0].data["k"]
+    assert len(k) + dropped == 10_500
+    assert list(k) == [*range(10_000 - dropped), *range(10_000, 10_500)]
+    assert [d.timestamp for d in read.dropouts] == [1000 * (10_000 - dropped - 1)]
+    assert not read.file_corruption
+    assert log.error == f"{slow_disk.path}: {dropped} records are missing that the disk was too slow for"
+
+
+def test_a_disk_that_hangs_at_the_end_is_not_waited_for_without_bound(slow_disk, monkeypatch):
+    monkeypatch.setattr(ULog, "CLOSE_PATIENCE", 0.2)
+    log = ULog(slow_disk.path, threaded=True)
+    topic = log.topic("t", [("uint32_t", "k")])
+    log.begin()
+    fill(log, topic, 0, 10_000)
+    began = time.monotonic()
+    log.close()
+    assert time.monotonic() - began < 2.0
+    assert log.hangs
+    assert re.search(
+        r"pipe: the log ends early: the disk took nothing more for 0\.2 s; \d+ records are missing", log.error
+    )
+    slow_disk.read_until(lambda: not log._thread.is_alive())  # and its file is closed
+
+
+def test_a_disk_that_hangs_is_said_and_its_flight_is_lost_to_the_record_alone(tmp_path, monkeypatch):
+    free, well = threading.Event(), ULog._write
+    monkeypatch.setattr(ULog, "_write", lambda log, block: (free.wait(5.0), well(log, block)))
+    monkeypatch.setattr(ULog, "WAITING", 30_000)
+    monkeypatch.setattr(ULog, "CLOSE_PATIENCE", 0.1)
+    path = tmp_path / "f.ulg"
+    recorder = Recorder(path, resolve("thesis"), "cast", ["a"], tuple(STATE)[:10], {}, threaded=True)
+    said = []
+    for k in range(1000):
+        recorder.cycle(10_000 * k, k, np.zeros(12), np.zeros(3), np.zeros(3), 0.0, 0, 0)
+        said += filter(None, [recorder.trouble()])
+    assert said == ["the disk is too slow: the log has a gap from here on"]
+    recorder.close(summary())
+    assert len(recorder.lost) == 2
+    assert "the log ends early" in recorder.lost[0]
+    assert recorder.lost[1] == f"{beside(path, 'summary')}: not written to a disk that hangs"
+    free.set()
+    recorder._log._thread.join()

@@ -1,5 +1,6 @@
 """Whole flights on the plant, in process: the runtime's own parts, no sockets."""
 
+import gc
 import json
 import os
 import signal
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from runtime.cli import _leave
 from runtime.clock import SteppedClock
 from runtime.identification import IncrementalModel
 from runtime.link import Sample
@@ -204,6 +206,69 @@ def test_the_other_side_starts_again_and_so_do_we(cast, plant_link, tmp_path, fl
     assert second.summary.updates == 200 - 3
 
 
+class BrokenError(Exception):
+    """What no link should raise."""
+
+
+@pytest.mark.parametrize("where", ["read", "write"])
+@pytest.mark.parametrize("error", [OSError(100, "Network is down"), BrokenError("of it"), KeyboardInterrupt()])
+def test_a_link_that_fails_leaves_a_whole_record(cast, plant_link, tmp_path, where, error):
+    class Failing(plant_link):
+        def read(self, timeout):
+            if self.tick == 318 and where == "read":
+                raise error
+            return super().read(timeout)
+
+        def write(self, action, time_usec):
+            if self.tick == 318 and where == "write":
+                raise error
+            super().write(action, time_usec)
+
+    log, lines = tmp_path / "f.ulg", []
+    if isinstance(error, OSError):
+        (flown,) = fly(Failing(600), cast, log, say=lines.append)
+        assert (flown.outcome, flown.failure) == (Outcome.FAILED, "OSError: [Errno 100] Network is down")
+        assert flown.lost == ()
+    else:
+        with pytest.raises(type(error)):
+            fly(Failing(600), cast, log, say=lines.append)
+    assert len(topics(log)["cycle"]["tick"]) == 318
+    messages = [m.message for m in ULog(str(log)).logged_messages]
+    assert messages[-1] == "flight ends: failed"
+    assert any("the link failed: OSError" in m for m in messages) == isinstance(error, OSError)
+    summary = json.loads((tmp_path / "f.summary.json").read_text())
+    assert (summary["outcome"], summary["cycles"]) == ("failed", 318)
+
+
+def test_a_link_that_fails_before_the_first_state_is_one_line(cast, plant_link, tmp_path):
+    link = plant_link(10)
+
+    def fails(timeout):
+        raise OSError(100, "Network is down")
+
+    link.read = fails
+    with pytest.raises(UserError, match=r"the link failed before any state .*: OSError: \[Errno 100\] Network is down"):
+        fly(link, cast, tmp_path / "f.ulg")
+
+
+def test_a_link_that_failed_is_said_and_left_with_the_code_of_silence(cast, plant_link, tmp_path, capsys):
+    class Failing(plant_link):
+        def read(self, timeout):
+            if self.tick == 50:
+                raise OSError(100, "Network is down")
+            return super().read(timeout)
+
+    link = Failing(100)
+    link.silence = lambda: ""
+    flown = fly(link, cast, tmp_path / "f.ulg")
+    with pytest.raises(SystemExit) as left:
+        _leave(flown, link, 0)
+    assert left.value.code == 3
+    said = capsys.readouterr().err
+    assert said.startswith("runtime: the link failed (OSError: [Errno 100] Network is down) after 0.5 s; 50 cycles")
+    assert said.count("\n") == 1
+
+
 @pytest.mark.parametrize(("since", "told"), [("zero", 1), ("first_state", 0)])
 def test_a_clock_that_starts_after_the_references_end_is_told_so(cast, plant_link, tmp_path, since, told):
     epoch, lines = 1_700_000_000_000_000, []
@@ -382,6 +447,34 @@ def test_a_live_reference_flies_level_until_told(cast, plant_link, tmp_path):
     x = np.array(link.x)
     assert abs(x[499, STATE.phi]) < 0.02
     assert x[-1, STATE.phi] == pytest.approx(0.15, abs=0.05)
+
+
+def test_a_session_in_real_time_gives_back_what_it_took(cast, plant_link, tmp_path):
+    before = gc.isenabled(), gc.get_freeze_count(), os.sched_getscheduler(0), sys.getswitchinterval()
+    (flown,) = fly(plant_link(20), cast, tmp_path / "f.ulg", overrides=("real_time=true",))
+    assert "real time: " in flown.summary.real_time[0]
+    assert (gc.isenabled(), gc.get_freeze_count(), os.sched_getscheduler(0), sys.getswitchinterval()) == before
+    assert fly(plant_link(20), cast, tmp_path / "f.ulg")[0].summary.real_time == []
+
+
+def test_a_set_point_is_of_its_own_flight_alone(cast, plant_link, tmp_path):
+    live = LiveReference()
+    live.set(0.056, 0.15)  # before the first state: of the first flight
+
+    class Told(TwoFlights):
+        def read(self, timeout):
+            if len(self.commands) == 2 and self.now.tick == 100:
+                live.set(0.02, -0.1)
+            return super().read(timeout)
+
+    link = Told(plant_link, 2)
+    first, second = fly(link, cast, tmp_path / "f.ulg", reference=live)
+    asked = [topics(flown.log)["cycle"] for flown in (first, second)]
+    np.testing.assert_allclose(asked[0]["phi_ref"], 0.15, atol=1e-7)
+    assert asked[1]["theta_ref"][0] == pytest.approx(asked[1]["theta"][0])
+    np.testing.assert_allclose(asked[1]["phi_ref"], np.where(np.arange(200) < 100, 0.0, -0.1), atol=1e-7)
+    (third,) = fly(plant_link(20), cast, tmp_path / "f.ulg", reference=live)
+    np.testing.assert_array_equal(topics(third.log)["cycle"]["phi_ref"], 0.0)
 
 
 def test_commands_are_within_limits_whatever_the_model_says(cast, plant_link, tmp_path):

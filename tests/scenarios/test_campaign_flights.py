@@ -6,6 +6,7 @@ import ast
 import errno
 import itertools
 import math
+import sys
 from pathlib import Path
 
 import msgspec
@@ -28,7 +29,7 @@ from scenarios.campaign.scores import STALL, Events, score
 from scenarios.campaign.store import Entry, Journal, plain, read_campaign, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
-from scenarios.campaign.work import Task, fly_all, plan
+from scenarios.campaign.work import LAW_SOURCES, Task, code_hash, code_of, fly_all, own_code, plan
 from scenarios.outputs import LOCK, claimed
 from sim_bridge.faults import SensorBias
 from sim_bridge.plant import Plant
@@ -54,6 +55,13 @@ REVERSED = short("elevator x -1", sensors="noise", **CALM)
 ROUGH = short("F5 elevator x 0.3", "easy", air="light", trim="nominal")
 NOT_FLOWN = {"understudy.py", *(f"scenarios/campaign/{name}.py" for name in ("alone", "members", "rows", "suites"))}
 """Imported by what flies, but what they decide is in a task's key or in another hash."""
+OWN_LAW = """
+from runtime.laws.law import Law
+class Mine(Law):
+    def steer(self, x, reference):
+        self._action[0] = self.trim(self.pressure_ratio(x.tolist())) + 0.5 * x[1] + x[7] - reference[0]
+        return self._action
+"""
 STRUCTURED = Row(name="structured", preset="structured")
 
 
@@ -77,6 +85,27 @@ def test_a_law_alone_flies_as_the_runtime_does_bit_by_bit(cast, law):
     with Flyer(load_population(cast)) as flyer:
         for cell in (REVERSED, ROUGH, held):
             assert plain(flyer.fly(cell, row)) == plain(flyer.fly_session(cell, row))
+
+
+def test_a_law_of_ones_own_flies_a_row_and_is_flown_again_when_it_has_changed(cast, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    place = tmp_path / "law_of_a_row.py"
+    place.write_text(OWN_LAW)
+    row = parse_row("mine=law_of_a_row:Mine")
+    mixed = parse_row("mixed=ensemble,laws=['law_of_a_row:Mine'],first=law_of_a_row:Mine")
+    with Flyer(load_population(cast)) as flyer:
+        flyer.check(row)
+        with pytest.raises(UserError, match=r"law law_of_a_row:Mine: linear\(\) is not implemented"):
+            flyer.check(mixed)
+        flown = flyer.fly(ROUGH, row)
+        assert flown.row == "mine"
+        assert plain(flown) == plain(flyer.fly_session(ROUGH, row))
+    before = [code_of(Task(ROUGH, one)) for one in (row, mixed)]
+    assert code_of(Task(ROUGH, Row(name="pid", law="pid"))) == code_hash(LAW_SOURCES) != before[0]
+    place.write_text(OWN_LAW + "# changed\n")
+    own_code.cache_clear()
+    assert not {code_of(Task(ROUGH, one)) for one in (row, mixed)} & set(before)
 
 
 def slowly(cell, population, member):
@@ -328,7 +357,10 @@ def test_two_campaigns_do_not_fly_into_one_folder(cast, tmp_path, monkeypatch):
         ({"names": "pdi", "extra": ()}, "--rows pdi: unknown row 'pdi'; choose from none"),
         ({"names": ",", "extra": ()}, "--rows ,: expected at least one row; choose from none, robust, oracle, members"),
         ({"names": "pid", "extra": ("fast",)}, "--row fast: expected NAME=PRESET"),
-        ({"names": "pid", "extra": ("fast=ensemble,horizon=inf",)}, r"expected `float` <= 60\.0, got inf.*horizon"),
+        (
+            {"names": "pid", "extra": ("fast=ensemble,horizon=inf",)},
+            r"expected `float` <= 60\.0 \[s\].*horizon",
+        ),
         ({"names": "pid", "extra": ("fast=structured,settel=1",)}, "--set settel: unknown key"),
         ({"names": "pid", "extra": ("pid=structured",)}, "--row pid: there is a row of this name"),
     ],

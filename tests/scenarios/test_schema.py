@@ -40,7 +40,14 @@ def scenario_file(folder: Path, text: str) -> Path:
             'title = "t"\n[flight.condition]\nspeed = "fast"',
             r"some\.toml: expected `float`, got `str`.*condition\.speed",
         ),
-        ('title = "t"\n[flight]\nduration = -1.0', r"some\.toml: .*duration"),
+        (
+            'title = "t"\n[flight]\nduration = -1.0',
+            r"some\.toml: expected `float` >= 0\.01 \[s\], got -1.*duration",
+        ),
+        (
+            'title = "t"\n[[flight.faults]]\nkind = "jam"\nsurface = "rudder"\nangle_deg = 99',
+            r"expected `float` <= 30\.0 \[deg\], got 99 - at `\$\.flight\.faults\[0\]\.angle_deg`",
+        ),
         ('title = "t"\n[references]\nfamily = "wild"', r"some\.toml: .*'wild'.*references\.family"),
         ('title = "t"\n[references]\nsource = "file"', r"some\.toml: references\.file: expected a CSV or NPY file"),
         ('title = "t"\n[references]\nsource = "random"\nseeds = []', r"some\.toml: references\.seeds: .*at least one"),

@@ -119,7 +119,7 @@ def test_no_runtime_is_one_line_and_exit_code_2(tmp_path):
         (
             ("--flight", "f.toml"),
             "[condition]\nspeed = 0.0",
-            "f.toml: expected `float` >= 10.0, got 0.0 - at `$.condition.speed`",
+            "f.toml: expected `float` >= 10.0 [m/s], got 0.0 - at `$.condition.speed`",
         ),
         (("--flight", "f.toml"), "[condition]\nspeed = nan", "f.toml: expected `float` >= 10.0"),
         (("--flight", "f.toml"), "[condition]\naltitude = 20.0", "f.toml: expected `float` >= 50.0"),
@@ -129,7 +129,7 @@ def test_no_runtime_is_one_line_and_exit_code_2(tmp_path):
         (
             ("--flight", "f.toml"),
             "[air]\nwind_north = 1e6",
-            "f.toml: expected `float` <= 100.0, got 1000000.0 - at `$.air.wind_north`",
+            "f.toml: expected `float` <= 100.0 [m/s], got 1000000.0 - at `$.air.wind_north`",
         ),
         (("--flight", "f.toml"), "[air]\nwind_east = nan", "f.toml: expected `float` >= -100.0"),
         (("--flight", "f.toml"), "[sensors.bias]\nq = nan", "bias.q: expected at most 5 rad/s either way, got nan"),

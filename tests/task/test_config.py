@@ -83,6 +83,53 @@ class Numbers(Settings):
     kept: dict[str, Any] = {}
 
 
+class Timed(Settings):
+    start: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    """When it begins [s]; from [0] on."""
+
+
+class Units(Timed):
+    """Fields with units, and some [kg] that is none of theirs."""
+
+    angle: Annotated[float, msgspec.Meta(le=0.5)] = 0.0
+    """Between [0, 0.5], how far it goes [rad; a turn
+    has 6.28]; not [m]."""
+    share: Annotated[float, msgspec.Meta(le=1.0)] = 0.0
+    """Of the range [-], which is [rad]."""
+    growth: Annotated[float, msgspec.Meta(le=1.0)] = 0.0
+    """How it grows [1/s2]."""
+    silent: Annotated[float, msgspec.Meta(le=1.0)] = 0.0
+    many: tuple[Annotated[float, msgspec.Meta(le=1.0)], ...] = ()
+    """Each [m/s]."""
+    inner: tuple[Timed, ...] = ()
+    """Some [Hz]."""
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        ({"angle": 5}, "s.toml: expected `float` <= 0.5 [rad], got 5 - at `$.angle`"),
+        ({"start": -1}, "s.toml: expected `float` >= 0.0 [s], got -1 - at `$.start`"),
+        ({"share": 2}, "s.toml: expected `float` <= 1.0, got 2 - at `$.share`"),
+        ({"growth": 2}, "s.toml: expected `float` <= 1.0 [1/s2], got 2 - at `$.growth`"),
+        ({"silent": 2}, "s.toml: expected `float` <= 1.0, got 2 - at `$.silent`"),
+        ({"many": [0, 2]}, "s.toml: expected `float` <= 1.0 [m/s], got 2 - at `$.many[1]`"),
+        ({"inner": [{"start": -1}]}, "s.toml: expected `float` >= 0.0 [s], got -1 - at `$.inner[0].start`"),
+    ],
+)
+def test_a_number_out_of_range_is_told_its_unit(data: Any, line: str) -> None:
+    with pytest.raises(UserError) as caught:
+        convert(data, Units, "s.toml")
+    assert str(caught.value) == line
+
+
+def test_settings_without_source_are_refused_without_a_unit() -> None:
+    names: dict[str, Any] = {"Timed": Timed, "Annotated": Annotated, "msgspec": msgspec}
+    exec("class Made(Timed):\n    a: Annotated[float, msgspec.Meta(le=1.0)] = 0.0\n    '''[m]'''\n", names)
+    with pytest.raises(UserError, match=r"expected `float` <= 1\.0, got 2 - at `\$\.a`"):
+        convert({"a": 2}, names["Made"], "s.toml")
+
+
 def answer(data: Any) -> str:
     with pytest.raises(UserError) as caught:
         convert(data, Numbers, "s.toml")
