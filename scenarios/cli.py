@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 import click
 import msgspec
@@ -16,7 +14,7 @@ from rich.markup import escape
 
 from scenarios import schema
 from scenarios.outputs import claimed, copy, prepare_file
-from scenarios.processes import StoppedError
+from scenarios.processes import StoppedError, ended_as_by_ctrl_c
 from scenarios.references import build, with_count
 from scenarios.report import scores_by_mode, write_report
 from scenarios.run import Result, fly_all, plan
@@ -52,10 +50,6 @@ def default_jobs(realtime: bool) -> int:
     return 1 if realtime else min(2, os.cpu_count() or 1)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
 def fly_scenario(
     scenario: schema.Scenario,
     folder: Path,
@@ -70,19 +64,15 @@ def fly_scenario(
     """Fly a scenario in ``modes`` and return the results; progress goes to ``screen``.
 
     ``folder`` is where a relative reference file lies. Raises UserError, also while another command flies into
-    ``out``, and KeyboardInterrupt after Ctrl-C or SIGTERM
-    with every process ended.
+    ``out``, and KeyboardInterrupt after Ctrl-C, SIGTERM or SIGHUP with every process ended.
     """
     cast = find_population(population)
     flights = plan(scenario.flight, build(scenario, folder), modes, cast, out, realtime)
-    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(out), Board(screen or console(), len(flights)) as board:
+        with ended_as_by_ctrl_c(), claimed(out), Board(screen or console(), len(flights)) as board:
             return fly_all(flights, jobs or default_jobs(realtime), fresh, board)
     except StoppedError:
         raise KeyboardInterrupt from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _list(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:

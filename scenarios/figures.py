@@ -149,11 +149,14 @@ def _cast_columns(tones: dict[str, str]) -> int:
 def _cast_legend(figure: Figure, tones: dict[str, str], columns: int) -> Legend:
     """Say which colour of the strips is which member."""
     patches = [Patch(color=tone, label=member) for member, tone in tones.items()]
-    return figure.legend(
+    legend = figure.legend(
         handles=patches, loc="lower left", borderaxespad=0.2, ncols=columns, handlelength=1.0,
         handleheight=0.7, columnspacing=1.2, title="strip: who flies      ▼ change of the cast", title_fontsize=8,
         alignment="left",
     )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # members' names are as they are
+    return legend
 
 
 def moved_surface(flown: Sequence[Flown]) -> ACTION:

@@ -234,7 +234,7 @@ def who_flies(ax: Axes, adaptation: AdaptationTrace) -> None:
     ax.step(adaptation.time, [row[int(i)] for i in adaptation.active], where="post", color=INK, lw=1.6)
     for switch in adaptation.switches:
         ax.axvline(switch.time, color=GREY, lw=0.7, ls=":")
-    ax.set_yticks(range(len(shown)), [adaptation.members[i] for i in shown], fontsize=7)
+    ax.set_yticks(range(len(shown)), [adaptation.members[i] for i in shown], fontsize=7, parse_math=False)
     ax.set_ylim(len(shown) - 0.5, -0.5)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.outputs import prepare_file
+from sim_bridge.truth import write_whole
 from task.errors import UserError
 from task.results import Claim, Result, Table, read
 
@@ -22,7 +23,8 @@ def write_page(folder: Path, out: Path) -> int:
     if not files:
         raise UserError(f"{folder}: no results (*.json); measure some first, as with 'make chapter8'")
     prepare_file(out)
-    out.write_text(page({path.stem: read(path) for path in files}), encoding="utf-8")
+    text = page({path.stem: read(path) for path in files}).encode()
+    write_whole(out, lambda file: file.write(text))
     return len(files)
 
 

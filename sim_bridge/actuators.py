@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,17 @@ from task.state import N_ACTION
 
 FREE_STOP = math.radians(30.0)
 """Where a ramp to tighter stops begins [rad]: beyond any command."""
+
+
+class Jammed(NamedTuple):
+    """One jam of a surface."""
+
+    share: float
+    """0 free .. 1 jammed."""
+    angle: float | None = None
+    """[rad]; None: where it was when the jam began."""
+    since: float = 0.0
+    """When it began [s]; tells a surface's jams apart."""
 
 
 @dataclass
@@ -32,10 +44,8 @@ class Surface:
     """Stop [rad]."""
     maximum: float = math.inf
     """Stop [rad]."""
-    jam_share: float = 0.0
-    """0 free .. 1 jammed."""
-    jam_angle: float | None = None
-    """[rad]; None: where it was."""
+    jams: list[Jammed] = field(default_factory=list)
+    """Each takes the surface away from where those before it leave it."""
     oscillation: float = 0.0
     """Amplitude [rad]."""
     oscillation_frequency: float = 0.0
@@ -55,8 +65,8 @@ class _Memory:
 
     position: float
     """Output of lag, rate limit and stops [rad]."""
-    held: float
-    """Deflection at which it jams [rad]."""
+    held: dict[float, float] = field(default_factory=dict)
+    """Deflection at which each jam found it [rad], by the time at which the jam began [s]."""
     waiting: list[float] = field(default_factory=list)
     """Commands on their way, oldest first."""
 
@@ -95,13 +105,10 @@ class Actuators:
             self.clear()
             return
         if not was_active:
-            self._memory = [_Memory(p, p) for p in position]
+            self._memory = [_Memory(p) for p in position]
             self._deflection = list(position)
-        for now, before, memory, deflection in zip(
-            surfaces, self._surfaces, self._memory, self._deflection, strict=True
-        ):
-            if now.jam_share > 0.0 and before.jam_share == 0.0:
-                memory.held = deflection
+        for surface, memory, deflection in zip(surfaces, self._memory, self._deflection, strict=True):
+            memory.held = {jam.since: memory.held.get(jam.since, deflection) for jam in surface.jams}
         self._surfaces, self._mixing = surfaces, mixing.tolist()
 
     def respond(self, command: list[float], time: float) -> list[float]:
@@ -122,9 +129,9 @@ class Actuators:
         value = min(max(value, memory.position - step), memory.position + step)
         value = min(max(value, surface.minimum), surface.maximum)
         memory.position = value
-        if surface.jam_share > 0.0:
-            angle = memory.held if surface.jam_angle is None else surface.jam_angle
-            value += surface.jam_share * (angle - value)
+        for jam in surface.jams:
+            angle = memory.held[jam.since] if jam.angle is None else jam.angle
+            value += jam.share * (angle - value)
         if surface.oscillation > 0.0:
             wave = math.sin(2.0 * math.pi * surface.oscillation_frequency * (time - surface.oscillation_start))
             value = surface.oscillation * wave + (0.0 if surface.oscillation_replaces else value)

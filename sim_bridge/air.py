@@ -15,7 +15,7 @@ DRYDEN = {"light": (7.72, 3), "moderate": (15.43, 4), "severe": (23.15, 6)}
 
 
 Wind = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
-"""As fast as a jet stream and no faster [m/s]."""
+"""Of steady winds and gusts: as fast as a jet stream and no faster [m/s]."""
 
 
 class Air(Settings, frozen=True):

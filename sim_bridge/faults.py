@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from sim_bridge.actuators import FREE_STOP
+from sim_bridge.actuators import FREE_STOP, Jammed
+from sim_bridge.air import Wind
 from sim_bridge.effects import CLEAN_ALPHA_MAX, ENGINE_ARM
 from sim_bridge.fault import Condition, Fault, NotNegative
 from sim_bridge.sensors import SignalName, check_error
@@ -33,8 +34,6 @@ Amplitude = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_ANGLE)]
 Rate = Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)]
 Frequency = Annotated[float, msgspec.Meta(ge=0.01, le=50.0)]
 """Up to half the sample rate."""
-Wind = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
-"""As much as the steady wind may be [m/s]."""
 GARBAGE = 10.0
 """A sensor that fails may say so many times what a flight's own sensors may be off by: what no aircraft does [-]."""
 Thrust = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
@@ -94,9 +93,8 @@ class Jam(Fault, frozen=True, kw_only=True, tag="jam"):
 
     def apply(self, condition: Condition, level: float) -> None:
         """Take the surface away from its command."""
-        surface = condition.surfaces[SURFACES[self.surface]]
-        surface.jam_share = level
-        surface.jam_angle = None if self.angle_deg is None else math.radians(self.angle_deg)
+        angle = None if self.angle_deg is None else math.radians(self.angle_deg)
+        condition.surfaces[SURFACES[self.surface]].jams.append(Jammed(level, angle, self.start))
 
 
 class Saturation(Fault, frozen=True, kw_only=True, tag="saturation"):

@@ -8,10 +8,12 @@ from collections.abc import Callable
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from sim_bridge.codec import Codec, Command, read_command
+from sim_bridge.codec import SYSTEM, Codec, Command, read_command
 from sim_bridge.link import Link
 
 _DATAGRAMS_A_CALL = 64
+EVERYBODY = 0
+"""The target system of a command that is for all."""
 
 
 class Counts(msgspec.Struct):
@@ -74,6 +76,8 @@ class Inbox:
         if kind == mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
             self._pending.append(read_command(message))
         elif kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            if message.target_system not in (EVERYBODY, SYSTEM):
+                return
             sender = message.get_srcSystem(), message.get_srcComponent()
             self._link.send(self._codec.acknowledge(message.command, self._order(message), *sender))
         elif kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:

@@ -21,15 +21,13 @@ from sim_bridge.actuators import Actuators
 from sim_bridge.air import STILL_AIR, Air
 from sim_bridge.aircraft.build import MODEL_NAME, PLANET, REST, ROOT
 from sim_bridge.conditions import NOMINAL, R1, R2, FlightCondition
-from sim_bridge.effects import Effects
+from sim_bridge.effects import FT, Effects
 from sim_bridge.trim import Response, Start, Trim, carried_by_wind, find_trim
 from task.limits import DT
 from task.state import ACTION, N_STATE, STATE
 
 __all__ = ["NOMINAL", "R1", "R2", "FlightCondition", "Plant", "Trim"]
 
-FT = 0.3048
-"""One foot [m]."""
 _TURN = 2.0 * math.pi
 _EULER, _ADAMS_BASHFORTH_2, _ADAMS_BASHFORTH_3 = 1, 3, 4
 """JSBSim's numbers for its integrators."""

@@ -51,9 +51,9 @@ class Truth:
 
     def name_faults(self, names: list[str]) -> None:
         """Take the names of all faults when some have been added; those were absent until now."""
-        self._fault_names = np.array(names, dtype=np.str_)
-        added = len(names) - self._faults.shape[1]
-        self._faults = np.pad(self._faults, ((0, 0), (0, added)))
+        if added := len(names) - self._faults.shape[1]:
+            self._fault_names = np.array(names, dtype=np.str_)
+            self._faults = np.pad(self._faults, ((0, 0), (0, added)))
 
     def state(self, time_us: int, x: np.ndarray, surfaces: np.ndarray, wind_n: np.ndarray, faults: list[float]) -> None:
         """Record the state of the next tick."""
@@ -98,9 +98,11 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
         with temporary.open("wb") as file:
             write(file)
         temporary.replace(path)
-    except OSError as error:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from None
+        if isinstance(error, OSError):
+            raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise
 
 
 def prepare(path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Literal
 
 import click
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -26,7 +26,10 @@ from scenarios.campaign.suites import HALVES, SUITES, Half, load_suite
 from scenarios.campaign.table import Campaign
 from scenarios.campaign.work import Done, Task, fly_all, plan
 from scenarios.cli import console, default_jobs
+from scenarios.outputs import claimed
+from scenarios.processes import ended_as_by_ctrl_c
 from scenarios.results_page import page
+from sim_bridge.truth import write_whole
 from task.errors import UserError
 from task.files import find_population, make_folder
 from task.law_names import OWN
@@ -42,6 +45,9 @@ HEAD = """# Campaign
 What one campaign measured; `python -m scenarios.campaign` writes this page. A figure that misses its target says so.
 """
 
+OURS = "ensemble"
+"""The row that claims are about when none is named."""
+
 SHOWN = (
     "row", "flights", "survive of the oracle's %", "95 % from", "to", "survive %", "nMAE %", "over oracle", "switches",
     "alarms", "suited member s",
@@ -50,7 +56,10 @@ SHOWN = (
 
 
 def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, count: int) -> list[Cell]:
-    """Return the flights; ``faults``: only those of this name or group, or with it in their name. Raises UserError."""
+    """Return the flights; ``faults``: only those of this name or group, or with it in their name.
+
+    Raises UserError, also when only some of the words mean a fault.
+    """
     found: list[Cell] = []
     for name in dict.fromkeys(suites):
         suite = load_suite(name)
@@ -67,11 +76,16 @@ def chosen_cells(suites: Sequence[str], faults: tuple[str, ...], half: Half, cou
     def meant(cell: Cell, word: str) -> bool:
         return word in (cell.fault, cell.group) if word in names else word in cell.fault
 
-    kept = [c for c in found if any(meant(c, word) for word in faults)]
-    if not kept:
+    if unknown := [word for word in faults if not any(meant(c, word) for c in found)]:
         groups = ", ".join(dict.fromkeys(c.group for c in found))
-        raise UserError(f"--fault {', '.join(faults)}: no such fault; give a part of a name, or a group: {groups}")
-    return kept
+        raise UserError(f"--fault {', '.join(unknown)}: no such fault; give a part of a name, or a group: {groups}")
+    return [c for c in found if any(meant(c, word) for word in faults)]
+
+
+def quick_faults(suites: Sequence[str]) -> tuple[str, ...]:
+    """Return those of the quick campaign's faults that the suites have; all where they have none, to be told so."""
+    known = {case.name for suite in suites for case in load_suite(suite).fault}
+    return tuple(fault for fault in QUICK if fault in known) or QUICK
 
 
 def result(campaign: Campaign, information: dict[str, str], seconds: float, ours: str) -> Result:
@@ -126,7 +140,7 @@ def _derived(campaign: Campaign) -> str:
 @click.option(
     "--row", "extra", multiple=True, help="One more row: NAME=PRESET[,key=value...] or NAME=LAW; may be repeated."
 )
-@click.option("--ours", default="ensemble", show_default=True, help="Comma-separated rows that the claims are about.")
+@click.option("--ours", help=f"Comma-separated rows that the claims are about.  [default: {OURS}]")
 @click.option("--robust", default="", help="The member of the row 'robust'.  [default: the best in hindsight]")
 @click.option("--oracle-laws", "laws", default="",
               help="Comma-separated rows that the oracle may choose besides the members: pid, indi, ...")  # fmt: skip
@@ -140,7 +154,7 @@ def _derived(campaign: Campaign) -> str:
 @click.option("--read", "parquet", type=Path, help="Fly nothing: report on this file of flights.")
 def main(
     suites: tuple[str, ...], faults: tuple[str, ...], half: Half, count: int, population: str, rows: str | None,
-    extra: tuple[str, ...], ours: str, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
+    extra: tuple[str, ...], ours: str | None, robust: str, laws: str, quick: bool, jobs: int | None, out: Path | None,
     name: str, results: Path | None, figures: Path | None, any_version: bool, parquet: Path | None,
 ) -> None:  # fmt: skip
     """Fly the campaign, or what of it was not flown yet; write flights (Parquet), tables and figures."""
@@ -152,14 +166,18 @@ def main(
         records, information, where = stored.records, stored.information, out or parquet.parent
         check_folders(where, results, figures)
         spent = read(file).seconds if (file := parquet.with_suffix(".json")).exists() else 0.0
+        flown_with = information["command"]
+        ours, robust = ours or said(flown_with, "--ours") or OURS, robust or said(flown_with, "--robust")
+        laws = laws or said(flown_with, "--oracle-laws")
     else:
+        ours = ours or OURS
         command = command_line({
             "--suite": suites, "--fault": faults, "--half": half, "--references": str(count),
             "--population": population, "--rows": rows or (), "--row": extra, "--ours": ours, "--robust": robust or (),
             "--oracle-laws": laws or (), "--name": name if name != "campaign" else (),
         }) + " --quick" * quick  # fmt: skip
         if quick:
-            faults, rows, count = faults or QUICK, rows or QUICK_ROWS, min(count, 2)
+            faults, rows, count = faults or quick_faults(suites or SUITES), rows or QUICK_ROWS, min(count, 2)
         folder = find_population(population)
         cast = load_population(folder)
         chosen = choose_rows(rows, extra)
@@ -169,27 +187,36 @@ def main(
         where = out or Path("flights/campaign") / f"{folder.name}-{half}"
         check_folders(where, results, figures)
         jobs = jobs or default_jobs(realtime=False)
-        with stopping(f"what was flown is kept in {where}, the same command goes on"):
+        with claimed(where), stopping(f"what was flown is kept in {where}, the same command goes on"):
             done = fly(tasks, folder, cast.sha256, where, jobs, any_version, screen)
-        records, spent = [r for d in done for r in d.records], sum(d.seconds for d in done) / jobs
+        spent = sum(d.seconds for d in done) / jobs
         information = {
             "population": cast.name, "sha256": cast.sha256, "champion": cast.manifest.champion, "half": half,
             "command": command,
         }  # fmt: skip
-        write_parquet(records, where / f"{name}.parquet", information)
-        screen.print("[dim]" + cost(done) + "[/]")
+        # What is reported is what the file holds: read again, it gives the same figures.
+        file = write_parquet([r for d in done for r in d.records], where / f"{name}.parquet", information)
+        records = read_campaign(file).records
+        screen.print("[dim]" + escape(cost(done)) + "[/]")
     campaign = Campaign(records, information["champion"], robust, words(laws))
     check_ours(ours, campaign.rows)
     found = result(campaign, information, spent, ours)
     write(name, found, where)
-    (where / "report.md").write_text(page({name: found}, HEAD), encoding="utf-8")
+    report = page({name: found}, HEAD).encode()
+    write_whole(where / "report.md", lambda file: file.write(report))
     pictures = draw(campaign, figures or where, name)
     if results is not None:
         write(name, found, results)
         write_parquet(records, results / f"{name}.parquet", information)
     show(screen, found)
-    screen.print(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}\nReport: {where / 'report.md'}")
-    screen.print("Figures: " + ", ".join(str(path) for path in pictures))
+    screen.print(escape(f"{len(records)} flights: {parquet or where / f'{name}.parquet'}"))
+    screen.print(escape(f"Report: {where / 'report.md'}\nFigures: " + ", ".join(map(str, pictures))))
+
+
+def said(command: str, option: str) -> str:
+    """Return what a command line says of an option; nothing where it does not name it."""
+    parts = shlex.split(command)
+    return parts[parts.index(option) + 1] if option in parts[:-1] else ""
 
 
 def words(text: str) -> list[str]:
@@ -249,23 +276,19 @@ def command_line(options: dict[str, str | tuple[str, ...]]) -> str:
 def fly(
     tasks: Sequence[Task], population: Path, sha256: str, where: Path, jobs: int, any_version: bool, screen: Console
 ) -> list[Done]:
-    """Fly what was not flown yet, with a bar; raise KeyboardInterrupt after Ctrl-C or SIGTERM, and UserError."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """Fly what was not flown yet, with a bar. Raises UserError; KeyboardInterrupt after Ctrl-C, SIGTERM or SIGHUP."""
     done = []
-    try:
-        with Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TimeRemainingColumn(), console=screen, disable=not screen.is_terminal,
-        ) as progress:  # fmt: skip
-            bar = progress.add_task(where.name, total=len(tasks))
-            for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
-                done.append(one)
-                progress.advance(bar)
-                if not screen.is_terminal and (at := 20 * len(done) // len(tasks)) > 20 * (len(done) - 1) // len(tasks):
-                    left = progress.tasks[bar].time_remaining
-                    screen.print(f"{5 * at} %" + (f", {left / 60.0:.0f} min left" if left else ""))
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with ended_as_by_ctrl_c(), Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(), console=screen, disable=not screen.is_terminal,
+    ) as progress:  # fmt: skip
+        bar = progress.add_task(where.name, total=len(tasks))
+        for one in fly_all(tasks, population, sha256, Journal(where / "journal.jsonl"), jobs, any_version):
+            done.append(one)
+            progress.advance(bar)
+            if not screen.is_terminal and (at := 20 * len(done) // len(tasks)) > 20 * (len(done) - 1) // len(tasks):
+                left = progress.tasks[bar].time_remaining
+                screen.print(f"{5 * at} %" + (f", {left / 60.0:.0f} min left" if left else ""))
     return done
 
 
@@ -281,13 +304,13 @@ def show(screen: Console, found: Result) -> None:
     """Print the claims and the tables by suite."""
     for table in found.tables:
         if table.title.endswith("every row"):
-            shown = Table(title=table.title, title_justify="left", box=None, header_style="dim")
+            shown = Table(title=escape(table.title), title_justify="left", box=None, header_style="dim")
             places = [table.columns.index(name) for name in SHOWN]
             for i in places:
                 shown.add_column(table.columns[i], justify="left" if i == 0 else "right")
             for row in table.rows:
-                shown.add_row(*(str(row[i]) for i in places))
+                shown.add_row(*(escape(str(row[i])) for i in places))
             screen.print(shown)
     for claim in found.claims:
         verdict = {True: "holds", False: "does not hold", None: ""}[claim.holds]
-        screen.print(f"{claim.claim}: {claim.value} {claim.unit}  [dim]{claim.target}[/] {verdict}")
+        screen.print(f"{escape(claim.claim)}: {claim.value} {claim.unit}  [dim]{claim.target}[/] {verdict}")

@@ -53,9 +53,11 @@ def picture(campaign: Campaign, suite: str) -> Figure:
             for (i, j), value in np.ndenumerate(shown):
                 if np.isfinite(value):
                     ax.text(j, i, form.format(value), ha="center", va="center", fontsize=6.5, color=INK)
-        axes[0].set_yticks(range(len(faults)), faults)
+        axes[0].set_yticks(range(len(faults)), faults, parse_math=False)
         for ax in axes:
-            ax.set_xticks(range(len(rows)), rows, rotation=45, ha="right", rotation_mode="anchor")
+            ax.set_xticks(
+                range(len(rows)), rows, rotation=45, ha="right", rotation_mode="anchor", parse_math=False
+            )  # names are as they are, not formulas
             ax.grid(False)
             ax.tick_params(length=0)
             for spine in ax.spines.values():

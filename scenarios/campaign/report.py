@@ -10,7 +10,7 @@ from scenarios.campaign.design import DURATION
 from scenarios.campaign.rows import DERIVED, MEMBERS, NONE, ORACLE
 from scenarios.campaign.scores import Record
 from scenarios.campaign.statistics import Key, alive, mean, median, of_oracle, paired, stalls, survival, wilson
-from scenarios.campaign.suites import SUITES, load_suite
+from scenarios.campaign.suites import places
 from scenarios.campaign.table import Campaign
 from task.results import Table
 
@@ -50,7 +50,7 @@ def suite_table(campaign: Campaign, suite: str) -> Table:
         if not flights:
             continue
         kept = [r for r in flights.values() if r.survived]
-        times = campaign.casting(flights) if kept and kept[0].switched_to else []
+        times = campaign.casting(flights)
         known = [t for t in times if math.isfinite(t)]
         body.append([
             row, len(flights), *rate(flights, oracle), *rate(flights),
@@ -144,9 +144,8 @@ def sideslip_table(campaign: Campaign, suite: str) -> Table:
 def faults_of(campaign: Campaign, suite: str) -> list[str]:
     """Return the faults of a suite that were flown, in the order of its file; of an unknown suite, by group."""
     found = {(r.group, r.fault) for row in campaign.rows.values() for r in row.values() if r.suite == suite}
-    order = [case.name for case in load_suite(suite).fault] if suite in SUITES else []
-    by_file = {fault: i for i, fault in enumerate(order)}
-    return [fault for _, _, fault in sorted((by_file.get(fault, len(order)), group, fault) for group, fault in found)]
+    place = places(suite)
+    return [fault for _, _, fault in sorted((place.get(fault, len(place)), group, fault) for group, fault in found)]
 
 
 def slice_table(campaign: Campaign, suite: str) -> Table:

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from scenarios.campaign.scores import Record
+from sim_bridge.truth import write_whole
 from task.errors import UserError
+from task.files import make_folder
 
 _KINDS = {str: pa.string(), int: pa.int32(), float: pa.float32(), bool: pa.bool_(),
           list[float]: pa.list_(pa.float32()), list[str]: pa.list_(pa.string())}  # fmt: skip
@@ -59,14 +62,20 @@ class Journal:
         return found
 
     def write(self, entry: Entry) -> None:
-        """Append one task."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("ab+") as file:
-            if file.tell():
-                file.seek(-1, 2)
-                torn = file.read(1) != b"\n"
-                file.write(b"\n" * torn)
-            file.write(msgspec.json.encode(entry) + b"\n")
+        """Append one task. Raises UserError."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("ab+") as file:
+                if file.tell():
+                    file.seek(-1, 2)
+                    torn = file.read(1) != b"\n"
+                    file.write(b"\n" * torn)
+                file.write(msgspec.json.encode(entry) + b"\n")
+        except OSError as error:
+            raise UserError(
+                f"{self.path}: cannot be written: {error.strerror or error}; make room, and give the command again: "
+                "what is in it is kept"
+            ) from None
 
 
 def plain(record: Record) -> dict[str, Any]:
@@ -80,14 +89,19 @@ def from_plain(data: dict[str, Any]) -> Record:
 
 
 def write_parquet(records: Iterable[Record], path: Path, information: dict[str, str]) -> Path:
-    """Write the flights in a fixed order, so that equal flights give an equal file, byte by byte."""
+    """Write the flights in a fixed order, so that equal flights give an equal file, byte by byte; whole or not at all.
+
+    Raises UserError.
+    """
     ordered = sorted(records, key=lambda r: (r.suite, r.fault, r.index, r.row, r.member))
     columns = [
         pa.array([getattr(r, field.name) for r in ordered], type=field.type, from_pandas=False) for field in SCHEMA
     ]
     table = pa.Table.from_arrays(columns, schema=SCHEMA.with_metadata(information))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(table, path, compression="zstd", compression_level=19, use_dictionary=True)
+    make_folder(path.parent)
+    write_whole(
+        path, lambda file: pq.write_table(table, file, compression="zstd", compression_level=19, use_dictionary=True)
+    )
     return path
 
 
@@ -113,7 +127,19 @@ def read_parquet(path: Path) -> Stored:
     if not _NEEDED <= set(table.schema.names) <= set(SCHEMA.names):
         raise UserError(f"{path}: not flights of this campaign: its columns are {', '.join(table.schema.names[:6])}...")
     metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    return Stored([Record(**row) for row in table.to_pylist()], metadata)
+    return Stored([_record(row) for row in table.to_pylist()], metadata)
+
+
+def _record(row: dict[str, Any]) -> Record:
+    """Return a row of a table as the record that was written."""
+    return Record(**{key: _as_written(value) for key, value in row.items()})
+
+
+def _as_written(value: Any) -> Any:
+    """Return the shortest number that float32 keeps as this one: 0.4, not 0.4000000059604645, which is more than it."""
+    if isinstance(value, list):
+        return [_as_written(v) for v in value]
+    return float(str(np.float32(value))) if isinstance(value, float) else value
 
 
 def read_campaign(path: Path) -> Stored:

@@ -84,6 +84,11 @@ def _drawn(value: Any, half: Half, rng: np.random.Generator) -> Any:
     return value
 
 
+def places(suite: str) -> dict[str, int]:
+    """Return the place of each fault in the file of a suite of this package; nothing of another one."""
+    return {case.name: i for i, case in enumerate(load_suite(suite).fault)} if suite in SUITES else {}
+
+
 def load_suite(name: str) -> Suite:
     """Read a suite of this package, or a TOML file of the same shape; check every fault in it. Raises UserError."""
     if name not in SUITES and not name.endswith(".toml"):

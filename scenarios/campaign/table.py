@@ -10,7 +10,20 @@ import msgspec
 from scenarios.campaign.rows import DERIVED, MEMBERS, NONE, ORACLE, ROBUST, known_rows
 from scenarios.campaign.scores import Record
 from scenarios.campaign.statistics import Key, key, mean, suited, time_to_suited
+from scenarios.campaign.suites import places
 from task.errors import UserError
+
+
+def _in_order(records: Iterable[Record]) -> list[Record]:
+    """Return flights as they are planned: tables and resampled intervals must not tell which was finished first."""
+    kept = list(records)
+    place = {suite: places(suite) for suite in {r.suite for r in kept}}
+
+    def planned(r: Record) -> tuple[int, str, int, str, str, str, str]:
+        of_suite = place[r.suite]
+        return r.index, r.suite, of_suite.get(r.fault, len(of_suite)), r.group, r.fault, r.row, r.member
+
+    return sorted(kept, key=planned)
 
 
 class Campaign:
@@ -32,7 +45,7 @@ class Campaign:
         """Flights, those of members among them."""
         self.oracle_laws = tuple(oracle_laws)
         """Laws that the oracle may choose."""
-        for record in records:
+        for record in _in_order(records):
             self.flown += 1
             if record.row == MEMBERS:
                 self.members[key(record)].append(record)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import multiprocessing
+import os
 import signal
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -15,6 +17,7 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
+from runtime.config import Operation
 from runtime.population import load_population
 from scenarios.campaign.design import Cell
 from scenarios.campaign.flying import Flyer
@@ -28,9 +31,15 @@ ROOT = Path(__file__).resolve().parents[2]
 AIRCRAFT_SOURCES = ("sim_bridge", "task", *(f"scenarios/campaign/{name}.py" for name in ("design", "trace", "scores")))
 """What decides every flight, beside its cell and the population."""
 MEMBER_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/members.py", "runtime/population.py", "runtime/guard.py")
-LAW_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/alone.py", "runtime/laws", "runtime/guard.py")
+LAW_SOURCES = (
+    *AIRCRAFT_SOURCES, "scenarios/campaign/alone.py", "runtime/laws", "runtime/guard.py", "runtime/lowpass.py",
+    "runtime/identification.py",
+)  # fmt: skip
+"""The laws' recursive least squares and low pass are the runtime's own."""
 ROW_SOURCES = (*AIRCRAFT_SOURCES, "scenarios/campaign/flying.py", "scenarios/campaign/mirrored.py", "runtime")
 """What decides the flight of a row."""
+PERFECT_SOURCES = (*ROW_SOURCES, "scenarios/campaign/perfect.py")
+"""The same where the cast is imagined in the aircraft itself."""
 
 
 class Task(NamedTuple):
@@ -66,8 +75,8 @@ class Done(NamedTuple):
 
 @functools.cache
 def code_hash(places: tuple[str, ...]) -> str:
-    """Return a hash of the program's files below ``places``."""
-    total = hashlib.sha256()
+    """Return a hash of the program's files below ``places``, and of the last gate's times, which every flight has."""
+    total = hashlib.sha256(msgspec.json.encode(Operation()))
     for place in places:
         path = ROOT / place
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
@@ -80,7 +89,8 @@ def code_of(task: Task) -> str:
     """Return the hash of the program that flies a task."""
     if isinstance(task.row, str):
         return code_hash(MEMBER_SOURCES)
-    ours, theirs = code_hash(LAW_SOURCES if task.row.alone else ROW_SOURCES), own_code(task.row)
+    sources = PERFECT_SOURCES if task.row.model == "aircraft" else ROW_SOURCES
+    ours, theirs = code_hash(LAW_SOURCES if task.row.alone else sources), own_code(task.row)
     return hashlib.sha256((ours + theirs).encode()).hexdigest()[:16] if theirs else ours
 
 
@@ -112,8 +122,9 @@ def fly_all(
     waiting = []
     for task in tasks:
         entries = [e for e in flown.get(task.key(sha256), []) if any_version or e.code == code_of(task)]
-        if entries:
-            yield Done(task, [from_plain(r) for r in entries[-1].records], entries[-1].seconds, True)
+        before = _flown_before(task, entries[-1]) if entries else None
+        if before is not None:
+            yield before
         else:
             waiting.append(task)
     errors = []
@@ -126,6 +137,14 @@ def fly_all(
         yield Done(task, records, seconds, False)
     if errors:
         raise UserError(f"{len(errors)} of {len(tasks)} tasks failed, the others are kept; first: {errors[0]}")
+
+
+def _flown_before(task: Task, entry: Entry) -> Done | None:
+    """Return a task as the journal has it; None when its records, of another version, lack what is asked now."""
+    try:
+        return Done(task, [from_plain(r) for r in entry.records], entry.seconds, True)
+    except msgspec.ValidationError:
+        return None
 
 
 _Answer = tuple[Task, list[Record], float, str]
@@ -165,9 +184,21 @@ _FLYERS: list[Flyer] = []
 
 
 def _begin(population: Path) -> None:
-    """Prepare a process: Ctrl-C is for the one that started it."""
+    """Prepare a process: Ctrl-C is for the one that started it, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     _FLYERS.append(Flyer(load_population(population)))
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it is gone: after a kill -9 nobody else would end it."""
+    if (parent := multiprocessing.parent_process()) is not None:
+
+        def follow() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
 
 
 def _work(task: Task) -> _Answer:

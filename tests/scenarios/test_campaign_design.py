@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from scenarios.campaign.command import QUICK, chosen_cells
+from scenarios.campaign.command import QUICK, chosen_cells, quick_faults
 from scenarios.campaign.design import DURATION, EARLIEST, FACTORS, LATEST, cells, reference_rows
 from scenarios.campaign.rows import choose_rows
 from scenarios.campaign.suites import FOLDER, HALVES, SUITES, load_suite
@@ -87,6 +87,10 @@ def test_a_word_picks_a_fault_a_group_or_what_contains_it():
     assert len(chosen_cells(SUITES, ("elevator x -2", "hardov"), "tuning", 1)) == 4
     with pytest.raises(UserError, match="--fault flap: no such fault; give a part of a name, or a group: none, pub"):
         chosen_cells(SUITES, ("flap",), "tuning", 1)
+    with pytest.raises(UserError, match="--fault flap: no such fault"):
+        chosen_cells(SUITES, ("crossed", "flap"), "tuning", 1)
+    assert quick_faults(["hard"]) == QUICK[2:]
+    assert quick_faults(SUITES) == QUICK
 
 
 def test_a_wrong_suite_is_answered_with_file_and_fault(tmp_path):

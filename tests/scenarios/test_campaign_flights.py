@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import errno
 import itertools
 import math
 import sys
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -16,17 +19,18 @@ from runtime.config import Operation
 from runtime.guard import UNUSABLE, Guard
 from runtime.laws.catalogue import LAWS
 from runtime.population import BehaviouralPolicy, load_population
-from scenarios.campaign import command
+from scenarios.campaign import command, work
 from scenarios.campaign.command import main
 from scenarios.campaign.design import cells, reference_rows
 from scenarios.campaign.flying import Flyer
 from scenarios.campaign.members import Members
 from scenarios.campaign.rows import Row, choose_rows, parse_row
 from scenarios.campaign.scores import STALL, Events, score
-from scenarios.campaign.store import Journal, plain, read_campaign, read_parquet, write_parquet
+from scenarios.campaign.store import Entry, Journal, plain, read_campaign, read_parquet, write_parquet
 from scenarios.campaign.suites import load_suite
 from scenarios.campaign.trace import Trace
 from scenarios.campaign.work import LAW_SOURCES, Task, code_hash, code_of, fly_all, own_code, plan
+from scenarios.outputs import LOCK, claimed
 from sim_bridge.faults import SensorBias
 from sim_bridge.plant import Plant
 from sim_bridge.world import World
@@ -50,6 +54,8 @@ def short(fault: str, suite: str = "hard", **wanted):
 CALM = {"trim": "nominal", "air": "still"}
 REVERSED = short("elevator x -1", sensors="noise", **CALM)
 ROUGH = short("F5 elevator x 0.3", "easy", air="light", trim="nominal")
+NOT_FLOWN = {"understudy.py", *(f"scenarios/campaign/{name}.py" for name in ("alone", "members", "rows", "suites"))}
+"""Imported by what flies, but what they decide is in a task's key or in another hash."""
 OWN_LAW = """
 from runtime.laws.law import Law
 class Mine(Law):
@@ -214,6 +220,79 @@ def test_a_file_from_before_a_column_was_added_is_read_and_a_foreign_one_refused
             read_parquet(tmp_path / f"{name}.parquet")
 
 
+def test_a_time_that_is_just_in_time_is_still_so_when_it_is_read_again(tmp_path):
+    record = score(REVERSED, "none", "", Trace(np.zeros((5, 12)), np.zeros((5, 3)), np.zeros((5, 3))), Events(0.0, ""))
+    times = [-9.37, 0.4, 1.3]
+    written = msgspec.structs.replace(record, alarm=0.38, switched_at=times, switched_to=["a", "b", "a"], fault_at=9.37)
+    path = write_parquet([written], tmp_path / "c.parquet", {"half": "tuning"})
+    (read,) = read_parquet(path).records
+    assert (read.alarm, read.switched_at, read.switched_to, read.fault_at) == (0.38, times, ["a", "b", "a"], 9.37)
+    assert write_parquet([read], tmp_path / "again.parquet", {"half": "tuning"}).read_bytes() == path.read_bytes()
+
+
+def test_a_full_disk_is_said_in_one_line_and_what_was_there_stays(tmp_path, monkeypatch):
+    entry = Entry(key="k", code="c", seconds=1.0, records=[])
+    journal = Journal(Path("/dev/full"))
+    with pytest.raises(UserError, match=r"/dev/full: cannot be written: No space left.*give the command again"):
+        journal.write(entry)
+    kept = write_parquet([], tmp_path / "c.parquet", {"half": "tuning"})
+    before = kept.read_bytes()
+
+    def full(table, where, **_):
+        where.write(b"PAR1")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(UserError, match=r"c\.parquet: cannot be written: No space left"):
+        write_parquet([], kept, {"half": "reported"})
+    assert [path.name for path in tmp_path.iterdir()] == ["c.parquet"]
+    assert kept.read_bytes() == before
+
+
+def _imported(path: Path) -> set[str]:
+    """Return the modules of this program that a file imports, as paths below its root."""
+    found = (node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom))
+    places = {f"{(name or '').replace('.', '/')}.py" for name in found}
+    return {place for place in places if (work.ROOT / place).is_file()}
+
+
+@pytest.mark.parametrize(
+    ("sources", "left_out"),
+    [
+        # Of the configuration the last gate's times are asked for; what a manifest says is in the population's hash.
+        (work.MEMBER_SOURCES, {"runtime/config.py", "runtime/manifest.py"}),
+        # Constants and types; of the estimator laws use the recursive least squares alone.
+        (work.LAW_SOURCES, {"runtime/config.py", "runtime/hypotheses.py", "runtime/plays.py"}),
+        (work.PERFECT_SOURCES, set()),
+    ],
+)
+def test_what_decides_a_flight_is_asked_for_when_it_is_resumed(sources, left_out):
+    def covered(place: str) -> bool:
+        return any(place == source or place.startswith(f"{source}/") for source in sources)
+
+    files = {
+        file
+        for source in sources
+        for file in ((work.ROOT / source).rglob("*.py") if (work.ROOT / source).is_dir() else [work.ROOT / source])
+        if file.name != "identification.py" or sources is not work.LAW_SOURCES
+    }
+    needed = {place for file in files for place in _imported(file)} - NOT_FLOWN
+    assert {place for place in needed if not covered(place)} == left_out
+
+
+def test_a_row_in_the_aircraft_itself_is_flown_again_when_the_perfect_model_changes():
+    perfect = Task(ROUGH, Row(name="p", preset="ensemble", model="aircraft"))
+    assert work.code_of(perfect) == work.code_hash(work.PERFECT_SOURCES) != work.code_of(Task(ROUGH, STRUCTURED))
+
+
+def test_an_older_record_that_lacks_what_is_asked_now_is_flown_again(cast, tmp_path):
+    task, journal = Task(ROUGH, Row(name="pid", law="pid")), Journal(tmp_path / "j.jsonl")
+    journal.write(Entry(key=task.key(""), code="old", seconds=1.0, records=[{"suite": "easy"}]))
+    (done,) = fly_all([task], cast, "", journal, jobs=1, any_version=True)
+    assert not done.reused
+    assert [d.reused for d in fly_all([task], cast, "", journal, jobs=1)] == [True]
+
+
 def test_a_flight_that_fails_is_named_and_the_others_are_kept(cast, tmp_path):
     tasks = [Task(ROUGH, Row(name="odd", preset="odd")), Task(ROUGH, Row(name="pid", law="pid"))]
     journal = Journal(tmp_path / "j.jsonl")
@@ -227,7 +306,7 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
     out = ["--out", str(tmp_path / "out"), "--results", str(tmp_path / "results")]
     done = CliRunner().invoke(main, [*usual, *out, "--rows", "none,pid"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md"}
+    names = {"campaign.json", "campaign.parquet", "campaign_easy.png", "journal.jsonl", "report.md", LOCK}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     report = (tmp_path / "out" / "report.md").read_text()
     assert report.startswith("# Campaign\n")
@@ -238,6 +317,39 @@ def test_the_command_flies_reports_and_reads_its_own_file(cast, tmp_path):
     done = CliRunner().invoke(main, again, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert (tmp_path / "again" / "report.md").read_text() == report
+
+
+def test_a_file_is_read_with_what_it_was_flown_with(tmp_path):
+    record = score(REVERSED, "none", "", Trace(np.zeros((5, 12)), np.zeros((5, 3)), np.zeros((5, 3))), Events(0.0, ""))
+    flown = [
+        msgspec.structs.replace(record, row=row, member=member, nmae=nmae, survived=True, stalled=0.0)
+        for row, member, nmae in (("members", "c", 9.0), ("members", "d", 8.0), ("pid", "", 5.0), ("indi", "", 6.0))
+    ]
+    command = "python -m scenarios.campaign --ours indi --robust c --oracle-laws pid"
+    file = write_parquet(
+        flown, tmp_path / "c.parquet", {"population": "p", "champion": "c", "half": "tuning", "command": command}
+    )
+
+    def report(*options):
+        done = CliRunner().invoke(main, ["--read", str(file), *options], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return (tmp_path / "report.md").read_text()
+
+    as_flown = report()
+    assert "(hard: c), found" in as_flown
+    assert "in hindsight, the laws pid among them" in as_flown
+    assert "| indi, hard, all: survives" in as_flown
+    other = report("--ours", "pid", "--robust", "d", "--oracle-laws", "pid,indi")
+    assert "(hard: d), found" in other
+    assert "the laws pid, indi among them" in other
+    assert "| pid, hard, all: survives" in other
+
+
+def test_two_campaigns_do_not_fly_into_one_folder(cast, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "fly", lambda *_: pytest.fail("flown"))
+    options = ["--population", str(cast), "--fault", "F2", "--rows", "pid", "--out", str(tmp_path)]
+    with claimed(tmp_path), pytest.raises(UserError, match="another command flies there now"):
+        CliRunner().invoke(main, options, catch_exceptions=False)
 
 
 @pytest.mark.parametrize(

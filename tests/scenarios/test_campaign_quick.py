@@ -69,3 +69,35 @@ def test_killed_and_started_again_it_gives_the_same_file(whole, tmp_path):
     assert done.returncode == 0, done.stderr
     assert journal.read_bytes().startswith(before)
     assert (tmp_path / "campaign.parquet").read_bytes() == (whole / "campaign.parquet").read_bytes()
+
+
+POOL = """
+import multiprocessing, os, signal, time
+from concurrent.futures import ProcessPoolExecutor
+from scenarios.campaign.work import end_with_parent
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), end_with_parent)
+    print(pool.submit(os.getpid).result(), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_after_a_kill_no_process_of_the_pool_is_left(tmp_path):
+    (tmp_path / "pool.py").write_text(POOL)
+    killed = subprocess.run([sys.executable, tmp_path / "pool.py"], stdout=subprocess.PIPE, timeout=60, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    worker, until = int(killed.stdout), time.monotonic() + 10.0
+    while alive(worker) and time.monotonic() < until:
+        time.sleep(0.05)
+    left = alive(worker)
+    if left:
+        os.kill(worker, signal.SIGKILL)
+    assert not left
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

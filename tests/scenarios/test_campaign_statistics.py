@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from scenarios.campaign.claims import claims, hindsight
+from scenarios.campaign.command import result, show
+from scenarios.campaign.plots import draw
 from scenarios.campaign.report import tables
 from scenarios.campaign.scores import NAN, Events, Record
 from scenarios.campaign.statistics import (
@@ -113,7 +117,7 @@ def test_rows_that_follow_from_the_members():
     assert [r.survived for r in flown.pick("none").values()] == [True, False, False]
     assert flown.robust == {"hard": "mirror"}  # two of three, as calm, and more accurate
     assert list(flown.rows) == ["none", "robust", "oracle", "structured", "pid"]
-    with pytest.raises(UserError, match="--robust odd: no such member; choose from good, mirror, calm"):
+    with pytest.raises(UserError, match="--robust odd: no such member; choose from calm, good, mirror"):
         Campaign([flight("members", 0, 1.0, m) for m in ("good", "mirror", "calm")], "good", "odd")
 
 
@@ -226,6 +230,40 @@ def test_the_oracle_may_choose_laws_too():
     assert [r.survived for r in Campaign(records, "net").pick("oracle").values()] == [True, False]
     with pytest.raises(UserError, match="--oracle-laws indi: the oracle needs the flights"):
         Campaign(records, "net", oracle_laws=["indi"])
+
+
+def test_names_are_shown_as_they_are(tmp_path):
+    odd = "costs $\\frac$ [/b]"
+    flown = Campaign([flight(odd, i, 5.0, fault=f"{odd} and $x_$", suite="mine") for i in range(2)], "c")
+    (picture,) = draw(flown, tmp_path)
+    assert picture.exists()
+    information = {"population": "p", "champion": "c", "half": "tuning", "command": "x"}
+    screen = Console(file=io.StringIO(), width=200)
+    show(screen, result(flown, information, 1.0, odd))
+    assert odd in screen.file.getvalue()
+
+
+def test_who_loses_every_flight_is_told_never_to_have_cast_a_suited_member():
+    members = [flight("members", 0, nmae, member) for member, nmae in (("c", None), ("good", 5.0))]
+    lost = flight("ensemble", 0, None, switched_at=[-10.0], switched_to=["c"])
+    every = tables(Campaign([*members, lost, flight("pid", 0, None)], "c"))[0]
+    never = {line[0]: line[every.columns.index("never %")] for line in every.rows}
+    assert never == {"none": "-", "robust": "-", "oracle": "-", "ensemble": 100.0, "pid": "-"}
+
+
+def test_the_order_in_which_flights_were_finished_changes_no_table():
+    levels = {"air": ("still", "light", "moderate"), "trim": ("nominal", "R1", "between")}
+    rng = np.random.default_rng(5)
+    records = [
+        flight(row, i, float(rng.uniform(3.0, 9.0)), member, fault=fault, group=group,
+               air=levels["air"][i % 3], trim=levels["trim"][(i // 2) % 3])
+        for i in range(12)
+        for fault, group in (("elevator x -1", "reversal"), ("rudder hardover", "hardover"), ("unheard of", "new"))
+        for row, member in (("members", "a"), ("members", "b"), ("ensemble", ""), ("pid", ""))
+    ]  # fmt: skip
+    first = tables(Campaign(records, "a"))
+    assert tables(Campaign(records[::-1], "a")) == first
+    assert tables(Campaign([records[i] for i in rng.permutation(len(records))], "a")) == first
 
 
 def test_wilsons_interval():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from scenarios import processes
-from scenarios.processes import Process, StoppedError, free_port, supervise
+from scenarios.processes import Process, StoppedError, ended_as_by_ctrl_c, free_port, supervise
 from task.errors import UserError
 
 
@@ -83,6 +84,23 @@ def test_a_flight_that_stands_still_is_ended(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(UserError, match="stood still"):
         supervise(serving("runtime", tmp_path), serving("bridge", tmp_path), threading.Event(), lambda: 0.7)
     assert time.monotonic() - began < 5.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_closed_terminal_and_a_kill_are_as_ctrl_c_and_nohup_stays(number: signal.Signals) -> None:
+    heard: list[int] = []
+    before = signal.signal(number, lambda *_: heard.append(1))
+    try:
+        with pytest.raises(KeyboardInterrupt), ended_as_by_ctrl_c():
+            signal.raise_signal(number)
+        signal.raise_signal(number)
+        assert heard == [1], "the handler of before is back"
+        signal.signal(number, signal.SIG_IGN)
+        with ended_as_by_ctrl_c():
+            signal.raise_signal(number)
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
 
 
 def test_ports_are_not_handed_out_twice() -> None:

@@ -175,6 +175,13 @@ def test_a_title_is_shown_as_it_is(flights: list[Result], tmp_path: Path, title:
     assert title in screen.file.getvalue()  # type: ignore[attr-defined]
 
 
+def test_a_members_name_is_shown_as_it_is(make_result: Callable[..., Result], tmp_path: Path) -> None:
+    made = make_result("understudy-soft")
+    named = replace(made.adaptation, members=["costs $\\frac$", "a $x_$ b"])
+    write_report(Scenario(title="t"), [replace(made, adaptation=named)], tmp_path)
+    assert (tmp_path / "report.html").exists()
+
+
 def test_the_table_on_the_terminal(flights: list[Result]) -> None:
     screen = Console(file=io.StringIO(), width=160)
     print_table(screen, "Ice", summarise(scores_by_mode(flights)))

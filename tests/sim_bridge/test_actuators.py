@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_bridge.actuators import Actuators, Surface
+from sim_bridge.actuators import Actuators, Jammed, Surface
 
 DT = 0.01
 IDENTITY = np.eye(3)
@@ -58,10 +58,10 @@ def test_rate_limit() -> None:
 def test_jam_where_it_is_and_at_an_angle() -> None:
     actuators = elevator(Surface(rate_limit=1.0))
     outputs(actuators, [1.0] * 5)
-    actuators.configure([Surface(rate_limit=1.0, jam_share=1.0), Surface(), Surface()], IDENTITY, [0.0] * 3)
+    actuators.configure([Surface(rate_limit=1.0, jams=[Jammed(1.0)]), Surface(), Surface()], IDENTITY, [0.0] * 3)
     assert outputs(actuators, [0.2, -0.4]) == pytest.approx([0.05, 0.05])
-    assert outputs(elevator(Surface(jam_share=1.0, jam_angle=0.26)), [1.0, -1.0]) == [0.26, 0.26]
-    assert outputs(elevator(Surface(jam_share=0.5, jam_angle=0.2)), [0.0]) == [0.1]
+    assert outputs(elevator(Surface(jams=[Jammed(1.0, 0.26)])), [1.0, -1.0]) == [0.26, 0.26]
+    assert outputs(elevator(Surface(jams=[Jammed(0.5, 0.2)])), [0.0]) == [0.1]
 
 
 def test_oscillation_adds_or_replaces() -> None:

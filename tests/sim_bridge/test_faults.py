@@ -239,6 +239,29 @@ def test_jam_where_it_is(plant: Plant) -> None:
     assert plant.surfaces[ACTION.da] == pytest.approx(0.04)
 
 
+def test_a_later_jam_takes_over_from_where_the_first_holds_the_surface(plant: Plant) -> None:
+    first = Jam(surface="rudder", angle_deg=15.0, start=0.05)
+
+    def rudder(later: Jam) -> list[float]:
+        """Return the rudder [deg] at every step, commanded to 1 deg."""
+        plant.reset()
+        schedule, found = FaultSchedule((first, later)), []
+        for k in range(40):
+            schedule.apply(plant, k * DT)
+            plant.step(np.radians([0.0, 0.0, 1.0]))
+            found.append(float(np.rad2deg(plant.surfaces[ACTION.dr])))
+        return found
+
+    stuck = rudder(Jam(surface="rudder", start=0.1))
+    assert stuck == pytest.approx([1.0] * 5 + [15.0] * 35), "where it is: at the angle that the first jam gave it"
+    growing = rudder(Jam(surface="rudder", angle_deg=-5.0, start=0.1, end=0.25, ramp=0.1))
+    assert growing[10] == pytest.approx(15.0), "a jam that only begins to grow does not free the surface"
+    assert growing[15] == pytest.approx(5.0)
+    assert growing[20:25] == pytest.approx([-5.0] * 5)
+    assert growing[30] == pytest.approx(5.0)
+    assert growing[36:] == pytest.approx([15.0] * 4)
+
+
 def test_lost_engine_yaws_towards_it_and_slows(plant: Plant) -> None:
     slow = np.array(
         [fly(plant, (Engine(left=left, right=right),), 400)[-1] for left, right in ((1, 1), (0, 1), (1, 0), (0, 0))]

@@ -26,9 +26,9 @@ SERVO, MOTOR, GYRO = 102, 101, 0
 OK, OFF, STUCK, GARBAGE, WRONG = range(5)
 
 
-def order(unit: float, kind: float, instance: float = math.nan, command: int = 420):
+def order(unit: float, kind: float, instance: float = math.nan, command: int = 420, system: int = 1):
     """Return the command as a client sends it: what it does not use is NaN."""
-    return mavlink.MAVLink_command_long_message(1, 1, command, 0, unit, kind, instance, *[math.nan] * 4)
+    return mavlink.MAVLink_command_long_message(system, 1, command, 0, unit, kind, instance, *[math.nan] * 4)
 
 
 @pytest.mark.parametrize(
@@ -111,8 +111,9 @@ def test_a_command_over_the_link_is_acknowledged_recorded_and_felt(peer_factory)
     sender = mavlink.MAVLink(None, 255, 190)
 
     def script(peer, time_us):
+        others = [order(SERVO, STUCK, 1, system=2).pack(sender)] if time_us == 5 * TICK_US else []
         failure = [order(SERVO, OFF, 3).pack(sender)] if time_us == 10 * TICK_US else []
-        return [*failure, peer.plain(time_us)]
+        return [*others, *failure, peer.plain(time_us)]
 
     peer = peer_factory(script=script)
     with Link(peer.link) as link:

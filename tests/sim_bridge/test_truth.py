@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_bridge.truth import Truth, prepare
+from sim_bridge.truth import Truth, prepare, write_whole
 from task.errors import UserError
 
 
@@ -45,6 +45,28 @@ def test_equal_flights_give_equal_files_and_nothing_is_left_beside_them(tmp_path
     recorded(3).save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_nothing_is_left_beside_a_file_whose_writing_is_interrupted(tmp_path):
+    def interrupted(file):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    (tmp_path / "t").write_text("old")
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "t", interrupted)
+    assert [p.name for p in tmp_path.iterdir()] == ["t"]
+    assert (tmp_path / "t").read_text() == "old"
+
+
+def test_names_that_bring_no_fault_copy_nothing():
+    truth = recorded(2)
+    before = truth._faults
+    truth.name_faults(["jam", "ice"])
+    assert truth._faults is before
+    truth.name_faults(["jam", "ice", "gust"])
+    assert truth.arrays()["faults"].shape == (3, 3)
+    assert truth.arrays()["fault_names"].tolist() == ["jam", "ice", "gust"]
 
 
 def test_a_file_that_cannot_be_written_is_one_line_and_the_old_one_stays(tmp_path):
