@@ -84,3 +84,39 @@ def test_at_steep_pitch_bank_and_heading_are_not_told_apart():
     states[:, STATE.theta] = 1.5
     states[5:, STATE.phi], states[5:, STATE.psi] = 0.4, 0.4
     assert refused(states) == []
+
+
+def test_a_state_that_stands_still_to_the_last_bit_is_refused_from_its_second_repetition_on():
+    states = turning(100, (0.01, 0.02, 0.0))
+    states[:, STATE.xe] = 0.9 * np.arange(100)
+    states[50:60] = states[49]
+    assert refused(states)[:8] == list(range(51, 59))
+    assert refused(np.repeat(states[:40], 2, axis=0)) == []  # a source of half the rate
+    still = turning(100, (0.0, 0.0, 0.0))
+    still[:, STATE.xe] = 0.9 * np.arange(100)  # in trim, all but the position may repeat
+    assert refused(still) == []
+
+
+def noisy(samples: int, sd: float, first: int = 0) -> np.ndarray:
+    """Return states whose angles have noise of sd [rad] from a sample on, and whose speed has as much for its size."""
+    states, rng = turning(samples, (0.01, 0.02, 0.0)), np.random.default_rng(2)
+    states[first:, STATE.alpha : STATE.psi + 1] += sd * rng.standard_normal((samples - first, 5))
+    states[first:, STATE.V] += 167.0 * sd * rng.standard_normal(samples - first)
+    return states
+
+
+def test_sensors_that_are_noisy_all_the_time_say_no_garbage():
+    assert len(refused(noisy(3000, 0.012))) < 0.02 * 3000
+    refusals = refused(noisy(3000, 0.012, 1000))
+    assert len(refusals) < 150
+    assert len([k for k in refusals if k > 1300]) < 0.02 * 3000
+
+
+def test_garbage_that_lasts_stays_garbage_and_ends_with_it():
+    states = turning(3000, (0.01, 0.02, 0.0))
+    spread = np.zeros(N_STATE)
+    spread[: STATE.r + 1], spread[STATE.V], spread[STATE.alpha : STATE.psi + 1] = 0.2, 10.0, 0.06
+    states[1000:2000] += np.random.default_rng(0).uniform(-spread, spread, (1000, N_STATE))
+    refusals = refused(states)
+    assert len([k for k in refusals if 1000 <= k < 2000]) > 990
+    assert max(refusals) <= 2000 + Continuity.SOUNDEST
