@@ -54,6 +54,8 @@ class StateFilter:
     """Smallest K: the model and the filtered rates are not to be trusted for longer, however noisy a signal is."""
     WILDEST = 5.0
     """A sample counts as at most so many standard deviations: a step is no noise."""
+    BEYOND = 10.0
+    """No aircraft moves so far in a sample [m/s, rad]: a model that says so starts the filter anew."""
     OFTEN, HALF, RECENT = 0.4, 0.5, 100
     """Least share of the last ``RECENT`` samples whose errors are beyond half a standard deviation. Of white noise it
     is 0.62; of a reading that jumps now and then less, and a mean over those would be worse than what lies between."""
@@ -128,7 +130,7 @@ class StateFilter:
             self._z[N_IDENTIFIED:] = da
             moving = self._expected(state)
             expected = [*moving, dx.item(STATE.phi), dx.item(STATE.theta)]
-            if not all(map(math.isfinite, expected)):
+            if not all(abs(d) < self.BEYOND for d in expected):  # nor is what is not finite
                 self.restart()
                 expected = [0.0] * len(SIGNALS)
                 self._x = measured.copy()

@@ -258,7 +258,7 @@ class Effectiveness:
         self._states += 1
 
     def correct(self, x: np.ndarray) -> None:
-        """Take speed, angle of attack and sideslip of the last state from x (>= 10,) instead: their noise is filtered."""
+        """Take speed, angle of attack and sideslip of the last state from x (>= 10,) instead: they are filtered."""
         self._x[STATE.V : STATE.beta + 1] = x[STATE.V : STATE.beta + 1].tolist()
 
     def command(self, action: np.ndarray) -> None:
