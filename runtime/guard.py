@@ -43,7 +43,7 @@ DOUBTFUL = UNUSABLE | Health.STATE_JUMPS
 MEANING = {
     Health.STATE_NOT_FINITE: "the state is not finite",
     Health.STATE_IMPLAUSIBLE: "the state is beyond what any aircraft does",
-    Health.STATE_JUMPS: "attitude jumps by what no rate turns it",
+    Health.STATE_JUMPS: "the state jumps by what no rate turns it, or stands still",
     Health.STATE_MISSING: "no state came",
     Health.ACTION_NOT_FINITE: "the policy's command is not finite",
     Health.ACTION_LIMITED: "the policy's command was beyond the limits",

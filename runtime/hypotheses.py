@@ -112,12 +112,15 @@ class Inputs:
                 self._followed[-1] = limited(before + self._gain * (action - before), before, self._actuators, self._dt)
         self._sent += 1
 
-    def followed(self, hypothesis: int) -> np.ndarray:
-        """Return what becomes of the last ``command_lag`` + 1 commands, without their delay: oldest first (L, 3)."""
+    def followed(self, hypothesis: int, before: int = 0) -> np.ndarray:
+        """Return what becomes of the last ``command_lag`` + 1 commands, without their delay: oldest first (L, 3).
+
+        before: 1 for the one before them besides.
+        """
         slow = hypothesis - self._slow
         if 0 <= slow < self._followed.shape[1]:
-            return self._followed[1:, slow]
-        return self._commands[-self._least :]
+            return self._followed[1 - before :, slow]
+        return self._commands[-self._least - before :]
 
     def take(self) -> np.ndarray:
         """Return ``u``, brought up to date."""

@@ -184,6 +184,7 @@ class IncrementalModel:
                     "export it again, or fly --preset understudy"
                 )
             self.effectiveness = Effectiveness(settings, rates, command_lag, dt)
+        self._coasting: Coasting | None = None
         self.state_filter: StateFilter | None = None
         """The filter of the other states; None without one of the effectiveness."""
         self._schedule: tuple[Condition, RateModel] | None = None
@@ -197,6 +198,7 @@ class IncrementalModel:
             self._schedule = learnt_at, rates
         if self.effectiveness is not None:
             self.state_filter = StateFilter(learnt_at if self._schedule else None, dt)
+            self.state_filter.take(self._theta)
         self.restart_history()
 
     def _prior(self, theta0: np.ndarray | None, p0: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -220,6 +222,7 @@ class IncrementalModel:
         if self.effectiveness is not None and self.state_filter is not None:
             self.effectiveness.reset()
             self.state_filter.reset()
+            self.state_filter.take(self._theta)
         self.restart_history()
 
     def restart_history(self, missed: int | None = None) -> None:
@@ -229,7 +232,7 @@ class IncrementalModel:
         now is known; through a longer one, or None, the commands are forgotten too.
         """
         self._states = 0
-        self._coasting: Coasting | None = None
+        coasted, self._coasting = self._coasting is not None, None
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
@@ -243,7 +246,7 @@ class IncrementalModel:
             self._history.restart()
         if self.effectiveness is not None and self.state_filter is not None:
             self.effectiveness.restart_history(commands_known=bridged)
-            self.state_filter.restart()
+            self.state_filter.restart(missed if bridged and not coasted else None)
 
     @property
     def alarmed(self) -> bool:
@@ -284,10 +287,20 @@ class IncrementalModel:
     def _filter_state(self, x: np.ndarray) -> None:
         """Filter the states that are no rates."""
         found = self.effectiveness
-        if found is None or self.state_filter is None or not found.known:
+        if found is None or self.state_filter is None or not (found.known or self.state_filter.bridges):
             return
-        theta = embed_reduced(self.rls.Theta) if self.exact_kinematics else self.rls.Theta
-        self.state_filter.hear(x, found.rates, found.increment, self._moved_da, theta)
+        if self.settings.identify:
+            self.state_filter.take(self._theta)
+        self.state_filter.hear(x, found.rates, found.increment, self._moved_da)
+        if self.state_filter.any:
+            known = x.copy()
+            self.state_filter.apply(known)
+            found.correct(known)
+
+    @property
+    def _theta(self) -> np.ndarray:
+        """Return Theta (13, 10), as learnt so far."""
+        return embed_reduced(self.rls.Theta) if self.exact_kinematics else self.rls.Theta
 
     @property
     def filtered(self) -> int:
@@ -335,8 +348,13 @@ class IncrementalModel:
         now, commands = self._coasting, self._history.latest()
         if now is None:
             x, dx, model = self._healthy()
+            if self.state_filter is not None and not dx[STATE.V : STATE.beta + 1].any():  # the last state stood still
+                self.state_filter.steady(dx)
             model, delay = with_effectiveness(model, self.effectiveness.mixing), self.effectiveness.delay_samples
             now = Coasting(x, dx, model, self.exact_kinematics, min(delay, self.max_delay))
+        if not now.delay:
+            acting = self.effectiveness.followed(before=1)
+            commands[-len(acting) :] = acting
         if self._dt * now.samples >= self.COASTS:
             return None
         now = now.step(commands, self.command_lag, self._dt)
@@ -359,8 +377,7 @@ class IncrementalModel:
 
     def _healthy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the last state (10,) and its increment (10,), float32; the model (13, 10) with healthy surfaces."""
-        theta = self.rls.Theta
-        model = embed_reduced(theta) if self.exact_kinematics else theta
+        model = self._theta
         x, dx = self._x.astype(np.float32), self._dx.astype(np.float32)
         if self.effectiveness is not None and self.effectiveness.known:
             self.effectiveness.smooth(x, dx)

@@ -278,9 +278,11 @@ class Loop:
         self.recorder.cycle(time_usec, self.tick(sample), sample.x, command, reference, cast.blend, cast.flying, health)
         self.recorder.innovation(time_usec, rls.innovation, rls.trace)
         if self.model.effectiveness is not None:
-            found, pulsed = self.model.effectiveness, self.excitation.surface
+            found, observed = self.model.effectiveness, not health & Health.COASTING
+            pulsed = self.excitation.surface if observed else -1
             self.recorder.effectiveness(time_usec, found, pulsed, self.model.filtered)
-            self.tell(sample, found)
+            if observed:  # else there is no news, and an alarm of the last sample was told of
+                self.tell(sample, found)
         if played is not None:
             self.recorder.play(time_usec, played.returns, played.age, played.tick_asked, played.decision)
             if played.error:

@@ -257,16 +257,20 @@ class Effectiveness:
         self._x = state
         self._states += 1
 
+    def correct(self, x: np.ndarray) -> None:
+        """Take speed, angle of attack and sideslip of the last state from x (>= 10,) instead: they are filtered."""
+        self._x[STATE.V : STATE.beta + 1] = x[STATE.V : STATE.beta + 1].tolist()
+
     def command(self, action: np.ndarray) -> None:
         """Take the command (3,) [rad] that was sent in answer to the last state."""
         self._inputs.send(action)
 
-    def followed(self) -> np.ndarray:
+    def followed(self, before: int = 0) -> np.ndarray:
         """Return what is believed to become of the last ``command_lag`` + 1 commands (L, 3) [rad], oldest first.
 
-        Their delay is left out: it is what waits.
+        Their delay is left out: it is what waits. before: 1 for the one before them besides.
         """
-        commands, surface = self._inputs.followed(self.evidence.believed), self.limited
+        commands, surface = self._inputs.followed(self.evidence.believed, before), self.limited
         if surface is not None and self.ranges:
             commands = commands.copy()
             commands[:, surface] = commands[:, surface].clip(*self.ranges.of[surface].ends)

@@ -28,9 +28,9 @@ STEPS_AT = 4077.0
 LEAST_SPEED = 10.0
 """Below it nothing flies, and nothing is scheduled [m/s]."""
 
-_AERODYNAMIC = [STATE.alpha, STATE.beta, *(N_IDENTIFIED + surface for surface in ACTION)]
+AERODYNAMIC = [STATE.alpha, STATE.beta, *(N_IDENTIFIED + surface for surface in ACTION)]
 """Rows of Theta whose effect on angle of attack and sideslip comes from forces of the air."""
-_GRAVITY = [STATE.phi, STATE.theta]
+GRAVITY = [STATE.phi, STATE.theta]
 
 
 class Condition(NamedTuple):
@@ -85,8 +85,8 @@ def schedule_angle(column: np.ndarray, angle: int, learnt_at: Condition, x: np.n
     V = x[STATE.V]
     air = dynamic_pressure(V, x[STATE.h]) / V / (dynamic_pressure(learnt_at.V, learnt_at.h) / learnt_at.V)
     column[angle] -= 1.0
-    column[_AERODYNAMIC] *= air
-    column[_GRAVITY] *= learnt_at.V / V
+    column[AERODYNAMIC] *= air
+    column[GRAVITY] *= learnt_at.V / V
     column[angle] += 1.0
     if angle == STATE.beta:
         column[STATE.p] = dt * x[STATE.alpha]

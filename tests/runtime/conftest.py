@@ -91,6 +91,8 @@ class PlantLink:
         self.ticks, self.command, self.state = ticks, command, state
         self.tick = 0
         self.x, self.sent, self.lines = [self.plant.x.copy()], [], []
+        self.told_at: list[int] = []
+        """The tick of each line."""
 
     def read(self, timeout: float) -> Sample | None:
         if self.tick >= self.ticks:
@@ -110,6 +112,7 @@ class PlantLink:
 
     def say(self, text: str, severity: int) -> None:
         self.lines.append(text)
+        self.told_at.append(self.tick)
 
     def diagnosis(self) -> str:
         return "a plant"

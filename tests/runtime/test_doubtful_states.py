@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from runtime.continuity import Continuity
 from runtime.identification import IncrementalModel
 from runtime.laws.catalogue import load_solo
 from runtime.loop import Outcome
@@ -68,7 +69,7 @@ def test_the_model_stands_in_for_states_that_cannot_be_used(citation, plant_link
     assert flown.outcome is Outcome.OVER
     assert flown.summary.alarms == 0
     coasted = flown.summary.health["coasting"]
-    assert 0.95 * ticks <= coasted <= ticks + 4
+    assert 0.95 * ticks <= coasted <= ticks + Continuity.SOUNDEST
     assert flown.summary.health[flag] >= 0.95 * ticks
     assert "holding" not in flown.summary.health
     away = np.abs(np.array(link.x)[:, STATE.phi : STATE.psi] - np.array(whole.x)[:, STATE.phi : STATE.psi])
@@ -83,6 +84,40 @@ def test_who_has_no_model_flies_on_what_comes(plant_link, tmp_path):
     assert flown.summary.health["state_jumps"] > 95
     assert not {"holding", "coasting"} & set(flown.summary.health)
     assert len({tuple(each) for each in link.sent[800:900]}) > 50
+
+
+@pytest.mark.parametrize("ticks", [50, 150])
+def test_states_that_stand_still_and_zeros_are_not_flown(citation, plant_link, tmp_path, ticks):
+    """All signals at once hold their last reading, or read zero: their source has failed, not the aircraft."""
+    whole = plant_link(2000)
+    fly(whole, citation, tmp_path / "whole.ulg")
+    last = []
+
+    def hold(x):
+        last.append(x)
+        return last[0]
+
+    for spoil in (hold, np.zeros_like):
+        link = plant_link(2000, state=spoiled(800, ticks, spoil))
+        flown = fly(link, citation, tmp_path / "f.ulg")
+        assert flown.outcome is Outcome.OVER
+        assert flown.summary.health["coasting"] >= ticks - Continuity.STILL
+        away = np.abs(np.array(link.x)[:, STATE.phi : STATE.psi] - np.array(whole.x)[:, STATE.phi : STATE.psi])
+        assert np.degrees(away.max()) < 2.0
+
+
+def test_an_alarm_is_told_once_though_no_state_comes_after_it(citation, plant_link, tmp_path):
+    def reversed_elevator(tick, action):
+        return action * (-1.0, 1.0, 1.0) if tick >= 600 else action
+
+    told = plant_link(700, reversed_elevator)
+    fly(told, citation, tmp_path / "told.ulg")
+    alarm = next(line for line in told.lines if line.startswith("alarm"))
+    first = told.told_at[told.lines.index(alarm)] - 1
+    link = plant_link(700, reversed_elevator, spoiled(first + 1, 30, nan))
+    fly(link, citation, tmp_path / "f.ulg")
+    said = [line for line, tick in zip(link.lines, link.told_at, strict=True) if first + 1 < tick <= first + 31]
+    assert not [line for line in said if line.startswith(("alarm", "suspected"))]
 
 
 def test_an_attitude_that_is_aligned_anew_is_flown_with(citation, plant_link, tmp_path):

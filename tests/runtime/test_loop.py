@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.config import Operation
+from runtime.continuity import Continuity
 from runtime.guard import Guard, Health
 from runtime.link import Sample, Severity
 from runtime.loop import Loop, Outcome
@@ -21,6 +22,12 @@ TURNED[[STATE.phi, STATE.theta]] = 0.3
 FORETOLD = np.arange(10.0)
 STEERED, PULSE = 0.01, 0.002
 """What the policy commands of a state's speed, and what excitation adds."""
+
+
+@pytest.fixture(autouse=True)
+def states_may_stand_still(monkeypatch):
+    """Most flights here are of one state."""
+    monkeypatch.setattr(Continuity, "STILL", 10**9)
 
 
 class Parts:
@@ -46,7 +53,7 @@ class Parts:
         self.reference = SimpleNamespace(start=lambda x: self.note("reference starts"), at=lambda t: np.full(3, t))
         self.recorder = SimpleNamespace(
             cycle=lambda *of: self.note(f"recorded {of[7]}"), innovation=lambda *of: None,
-            play=lambda *of: self.note("play recorded"), message=lambda *of: None,
+            play=lambda *of: self.note("play recorded"), message=lambda *of: None, trouble=lambda: "",
         )  # fmt: skip
         self.plays = SimpleNamespace(step=self.play)
         self.clock = SimpleNamespace(arrived=lambda: None, overdue=lambda: self.clock_overdue, wait=lambda: 0.0)

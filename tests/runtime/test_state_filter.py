@@ -15,6 +15,7 @@ from task.limits import DT
 from task.model import embed_reduced, predict_increment
 from task.observation import tracking_error
 from task.reference import base_reference
+from task.scheduling import LEAST_SPEED, Condition, schedule_angle
 from task.state import N_ACTION, N_IDENTIFIED, STATE
 
 CITATION = Path("populations/citation")
@@ -25,6 +26,13 @@ THETA[:6] = np.diag([0.97, 0.98, 0.99, 1.0, 0.99, 0.99])
 THETA[1, 4], THETA[2, 5] = DT, -DT
 THETA[8:, :3] = np.diag([-0.08, -0.04, -0.02])[[1, 0, 2]]
 MODEL = embed_reduced(THETA)
+
+
+def fresh(learnt_at=None):
+    """Return a filter that has taken the model."""
+    found = StateFilter(learnt_at, DT)
+    found.take(MODEL)
+    return found
 
 
 def flights(samples, seed=0):
@@ -42,7 +50,7 @@ def flights(samples, seed=0):
 
 def fly(noise, samples=2000, gust=None, seed=0):
     """Return the filter after a flight, and the errors (samples, 5) of what was measured and of what it made of it."""
-    rng, found, errors = np.random.default_rng(seed + 100), StateFilter(None, DT), []
+    rng, found, errors = np.random.default_rng(seed + 100), fresh(), []
     blown = np.zeros(N_IDENTIFIED)
     for x, dx, da in flights(samples, seed):
         if gust is not None:
@@ -50,7 +58,7 @@ def fly(noise, samples=2000, gust=None, seed=0):
         truth = x + blown
         measured = truth + noise * rng.standard_normal(N_IDENTIFIED)
         measured[STATE.phi] = np.remainder(measured[STATE.phi] + np.pi, 2.0 * np.pi) - np.pi
-        found.hear(measured, x[:3], dx[:3], da, MODEL)
+        found.hear(measured, x[:3], dx[:3], da)
         made = measured.copy()
         found.apply(made)
         pair = np.stack([measured, made]) - truth
@@ -106,13 +114,13 @@ def test_each_signal_is_filtered_by_itself():
 
 
 def test_a_sensor_that_steps_is_no_noise_and_one_that_becomes_noisy_is():
-    found = StateFilter(None, DT)
+    found = fresh()
     rng, filtered_at = np.random.default_rng(3), None
     for k, (x, dx, da) in enumerate(flights(3000)):
         y = x + (spread(theta=0.05) if k >= 600 else 0.0)
         if k >= 1200:
             y = y + spread(alpha=3e-3) * rng.standard_normal(N_IDENTIFIED)
-        found.hear(y, x[:3], dx[:3], da, MODEL)
+        found.hear(y, x[:3], dx[:3], da)
         if k < 1200:
             assert not found.any, k
         elif found.any and filtered_at is None:
@@ -122,11 +130,11 @@ def test_a_sensor_that_steps_is_no_noise_and_one_that_becomes_noisy_is():
 
 
 def test_the_increments_that_start_an_imagined_flight_are_the_models():
-    rng, found, raw, made = np.random.default_rng(4), StateFilter(None, DT), [], []
+    rng, found, raw, made = np.random.default_rng(4), fresh(), [], []
     last = None
     for x, dx, da in flights(1500):
         y = x + NOISY * rng.standard_normal(N_IDENTIFIED)
-        found.hear(y, x[:3], dx[:3], da, MODEL)
+        found.hear(y, x[:3], dx[:3], da)
         if last is not None:
             step = y - last
             raw.append((step - dx)[[STATE.V, STATE.alpha, STATE.beta]])
@@ -141,13 +149,97 @@ def test_after_a_gap_it_begins_with_what_is_measured_and_knows_the_noise():
     found.restart()
     x = np.zeros(N_IDENTIFIED)
     x[STATE.V], x[STATE.h] = 120.0, 2000.0
-    found.hear(x, x[:3], x[:3], np.zeros(N_ACTION), MODEL)
+    found.hear(x, x[:3], x[:3], np.zeros(N_ACTION))
     made = x.copy()
     found.apply(made)
     assert found.any
     np.testing.assert_array_equal(made, x)
     found.reset()
     assert not found.any
+
+
+def test_between_a_gap_and_the_first_state_after_it_nothing_is_put_into_states():
+    """A state is answered before the filter has heard one: it must not be shown zeros."""
+    found, *_ = fly(NOISY)
+    found.restart()
+    x = np.arange(1.0, 1.0 + N_IDENTIFIED)
+    made, dx = x.copy(), x.copy()
+    found.apply(made, dx)
+    np.testing.assert_array_equal(made, x)
+    np.testing.assert_array_equal(dx, x)
+
+
+def test_after_a_gap_the_first_states_are_averaged():
+    """With the gain of a long flight the noise of the first one would stay for half a second."""
+    errors = []
+    for seed in range(20):
+        found, *_ = fly(NOISY, 1000, seed=seed)
+        rng = np.random.default_rng(seed)
+        found.restart()
+        for x, dx, da in flights(12, seed):
+            found.hear(x + NOISY * rng.standard_normal(N_IDENTIFIED), x[:3], dx[:3], da)
+        made = x.copy()
+        found.apply(made)
+        errors.append((made - x)[list(SIGNALS)] / NOISY[list(SIGNALS)])
+    assert (np.std(errors, axis=0) < 0.6).all()
+
+
+def test_through_a_short_gap_the_increments_go_on():
+    found, states = fresh(), list(flights(1500))
+    rng, errors = np.random.default_rng(5), []
+    missing = set(range(500, 1500, 10))
+    for k, (x, dx, da) in enumerate(states):
+        if k in missing:
+            found.restart(missed=1)
+            continue
+        y = x + NOISY * rng.standard_normal(N_IDENTIFIED)
+        found.hear(y, x[:3], dx[:3], da)
+        found.apply(y)
+        if k - 1 in missing:
+            errors.append(y[list(SIGNALS)] - x[list(SIGNALS)])
+    assert (np.std(errors, axis=0) < 0.5 * NOISY[list(SIGNALS)]).all()
+
+
+def test_a_reading_that_jumps_now_and_then_is_not_noisy():
+    found = fresh()
+    for k, (x, dx, da) in enumerate(flights(2000)):
+        spikes = spread(V=20.0, alpha=0.1, beta=0.1, phi=0.5, theta=0.2) if k % 10 == 0 or k == 20 else 0.0
+        found.hear(x + spikes, x[:3], dx[:3], da)
+        assert not found.any, k
+
+
+@pytest.mark.parametrize(("V", "h"), [(150.0, 2000.0), (90.0, 10000.0), (5.0, 2000.0)])
+def test_increments_are_those_of_the_scheduled_model(V, h):
+    learnt_at, rng = Condition(90.0, 2000.0), np.random.default_rng(6)
+    theta = rng.standard_normal((13, 10))
+    found = StateFilter(learnt_at, DT)
+    found.take(theta)
+    x = np.zeros(N_IDENTIFIED)
+    x[STATE.V], x[STATE.h], x[STATE.alpha] = V, h, 0.07
+    found.hear(x, x[:3], x[:3], np.zeros(N_ACTION))
+    step, da = rng.standard_normal((2, 3))
+    found.hear(x, x[:3], step, da)
+    local, z = theta.copy(), found._z.copy()
+    for angle in (STATE.alpha, STATE.beta):
+        if V > LEAST_SPEED:
+            schedule_angle(local[:, angle], angle, learnt_at, x, DT)
+        else:
+            local[STATE.p, STATE.beta] = DT * x[STATE.alpha]
+    z[N_IDENTIFIED:] = da
+    found._z[:] = z
+    np.testing.assert_allclose(found._expected(x.tolist()), z @ local[:, STATE.V : STATE.beta + 1], rtol=1e-12)
+
+
+def test_numbers_that_no_aircraft_has_start_it_anew():
+    found, *_ = fly(NOISY, 500)
+    for k, (x, dx, da) in enumerate(flights(300)):
+        step = np.full(3, np.inf) if k == 100 else dx[:3]
+        with np.errstate(all="ignore"):  # as in flight
+            found.hear(x, x[:3], step, da)
+        made = x.copy()
+        found.apply(made)
+        assert np.isfinite(made).all(), k
+    assert np.isfinite(found._mean_square).all()
 
 
 def test_turned_upside_down_bank_goes_the_short_way_round():
