@@ -333,9 +333,9 @@ class IncrementalModel:
         return x
 
     @property
-    def coasting(self) -> bool:
-        """Whether :meth:`coast` stands in for states: the next usable one follows a gap."""
-        return self._coasting is not None
+    def coasting(self) -> int:
+        """For how many samples :meth:`coast` has stood in: the next usable state follows a gap."""
+        return 0 if self._coasting is None else self._coasting.samples
 
     def coast(self) -> np.ndarray | None:
         """Return the state (10,) to answer instead of :meth:`answered` where that of this sample cannot be used.
@@ -343,17 +343,19 @@ class IncrementalModel:
         It is foretold from the last usable one with the commands that were sent since. None where no effectiveness is
         identified, and after ``COASTS``: the model knows the aircraft, not the air.
         """
-        if self.effectiveness is None or not (self.ready and self.effectiveness.known):
+        found = self.effectiveness
+        if found is None or not self._states or self._sent < len(self._slots):
             return None
         now, commands = self._coasting, self._history.latest()
         if now is None:
             x, dx, model = self._healthy()
-            if self.state_filter is not None and not dx[STATE.V : STATE.beta + 1].any():  # the last state stood still
+            # After a gap, and where the last states stood still, there is no increment.
+            if self.state_filter is not None and not dx[STATE.V : STATE.beta + 1].any():
                 self.state_filter.steady(dx)
-            model, delay = with_effectiveness(model, self.effectiveness.mixing), self.effectiveness.delay_samples
-            now = Coasting(x, dx, model, self.exact_kinematics, min(delay, self.max_delay))
+            model, delay = with_effectiveness(model, found.mixing), min(found.delay_samples, self.max_delay)
+            now = Coasting(x, dx, model, self.exact_kinematics, delay)
         if not now.delay:
-            acting = self.effectiveness.followed(before=1)
+            acting = found.followed(before=1)
             commands[-len(acting) :] = acting
         if self._dt * now.samples >= self.COASTS:
             return None

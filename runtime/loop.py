@@ -27,7 +27,7 @@ from runtime.recorder import Recorder
 from runtime.reference import RecordedReference, Reference
 from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast
-from task.state import N_REFERENCE, N_STATE
+from task.state import N_ACTION, N_REFERENCE, N_STATE
 
 
 class Outcome(StrEnum):
@@ -63,6 +63,8 @@ class Loop:
     The parts are fresh or reset. ``stopped`` is asked between samples whether somebody wants to end the flight.
     """
 
+    SHOWN = 10
+    """Most missing states that whoever flies is shown as foretold, and goes on from [samples]."""
     SAY_AGAIN = 500
     """A health flag is said at most once in this many cycles."""
 
@@ -98,6 +100,8 @@ class Loop:
         self._findings = Findings(model.effectiveness, operation.dt) if model.effectiveness else None
         self._alarms = 0
         self._continuity = Continuity()
+        self._sent = np.zeros(N_ACTION)
+        """The last command [rad]."""
         self._lost_track = False
         """Whether the model has stood in for states for as long as it can."""
         self.failure = ""
@@ -163,6 +167,7 @@ class Loop:
         self.cycle_us.append(1e-3 * (time.perf_counter_ns() - began))
         self.clock.arrived()
         failed = False
+        np.copyto(self._sent, answer.command)
         try:
             self.model.command(answer.command)
             self.policy.sent(answer.command)
@@ -183,8 +188,8 @@ class Loop:
     def answer(self, sample: Sample) -> Answer:
         """Return what to send for a state that has come."""
         x, t = sample.x, 1e-6 * (sample.time_usec - self._zero_usec)
-        health = self.check(sample)
-        foretold = self.stand_in(health)
+        health, missed = self.check(sample)
+        foretold = self.stand_in(health, missed)
         if foretold is not None:
             reference = self.reference.at(t)
             self.cast.step()
@@ -210,20 +215,41 @@ class Loop:
         command, why = self.guard.command(self.excitation.add(action))
         return Answer(command, reference, health | why, played)
 
-    def stand_in(self, health: int) -> np.ndarray | None:
+    def stand_in(self, health: int, missed: int | None) -> np.ndarray | None:
         """Return the state (12,) that the model foretells where that of a sample cannot be relied upon, or None.
 
-        None where it can, and once the model can no longer stand in: until one follows the last, states are then taken
-        as they come. Positions are not foretold; they are zero.
+        missed: samples that are missing before it; None where it follows the last. None is returned where the state can
+        be relied upon, and once the model can no longer stand in: until one follows the last, states are then taken as
+        they come.
         """
-        if health & DOUBTFUL and not self._lost_track:
+        bridged = not missed or self.bridge(missed)
+        if health & DOUBTFUL and not self._lost_track and bridged:
             foretold = self.model.coast()
             if foretold is not None:
-                return np.concatenate([foretold, np.zeros(N_STATE - len(foretold))])
+                return _whole(foretold)
         self._lost_track = bool(health & DOUBTFUL)
-        if self.model.coasting:
-            self.restart_histories(missed=0)
+        if self.model.coasting or missed is not None:
+            coasted = self.model.coasting
+            self.model.restart_history(0 if bridged else missed)
+            if not (bridged and 0 < coasted <= self.SHOWN):
+                self.policy.restart_history()
         return None
+
+    def bridge(self, missed: int) -> bool:
+        """Show whoever flies the states that the model foretells for so many that are missing; return whether it could.
+
+        The last command was held meanwhile. Filters of laws, which a gap would start anew, go on.
+        """
+        if missed > self.SHOWN:
+            return False
+        for _ in range(missed):
+            foretold = self.model.coast()
+            if foretold is None:
+                return False
+            self.policy.steer(_whole(foretold), self.reference.at(1e-6 * (self.last.time_usec - self._zero_usec)))
+            self.model.command(self._sent)
+            self.policy.sent(self._sent)
+        return True
 
     def recover(self, sample: Sample, error: Exception) -> Answer:
         """Go on after a defect of the runtime: say it, forget what was learnt, hold the last good command."""
@@ -248,17 +274,17 @@ class Loop:
         self.model.restart_history(missed)
         self.policy.restart_history()
 
-    def check(self, sample: Sample) -> int:
-        """Return what is wrong with a state; across a gap no increment is formed."""
-        health = self.guard.check_state(sample.x)
+    def check(self, sample: Sample) -> tuple[int, int | None]:
+        """Return what is wrong with a state, and how many are missing before it; None where it follows the last."""
+        health, missed = self.guard.check_state(sample.x), None
         step = sample.time_usec - self.last.time_usec
         if sample is not self.first and not self._dt_us < 2 * step < 3 * self._dt_us:
-            self.restart_histories(missed=max(round(step / self._dt_us) - 1, 0))
+            missed = max(round(step / self._dt_us) - 1, 0)
             self.gaps += 1
             health |= Health.GAP
         if not health & UNUSABLE and self._continuity.broken(sample.x.tolist(), sample.time_usec):
             health |= Health.STATE_JUMPS
-        return health
+        return health, missed
 
     def replaces(self, sample: Sample) -> bool:
         """Return whether a state belongs to another flight than the last one."""
@@ -328,3 +354,8 @@ class Loop:
         self.say_here(f"{1e-6 * sample.time_usec:.2f} s: {text}")
         self.link.say(text, severity)
         self.recorder.message(sample.time_usec, severity, text)
+
+
+def _whole(foretold: np.ndarray) -> np.ndarray:
+    """Return a state (12,) from the foretold one (10,); positions are not foretold: they are zero."""
+    return np.concatenate([foretold, np.zeros(N_STATE - len(foretold))])

@@ -141,8 +141,9 @@ class StateFilter:
             self._correct(measured, [self._steps * dx.item(signal) for signal in SIGNALS])
         else:
             self._x = measured.copy()
+        if not self._steps:  # after a gap the rates have no increment yet, and theirs of before it goes on too
+            dx[: STATE.r + 1] = step
         self._measured, self._steps = measured, 0
-        dx[: STATE.r + 1] = step
         p, q, r = rates.tolist()
         phi, theta = (self._x[i] if self.noisy[i] else measured[i] for i in (_BANK, _PITCH))
         sin_phi, cos_phi = math.sin(phi), math.cos(phi)
@@ -172,9 +173,9 @@ class StateFilter:
                     dx[signal] = self._dx[signal]
 
     def steady(self, dx: np.ndarray) -> None:
-        """Put the increments of V, alpha, beta that go on into the last increment (>= 10,), in place: without gusts."""
+        """Put the increments of p, q, r, V, alpha and beta that go on into the last one (>= 10,), in place."""
         if self._measured:
-            dx[_MOVING] = self._dx[_MOVING]
+            dx[: STATE.beta + 1] = self._dx[: STATE.beta + 1]
 
     def _expected(self, x: list[float]) -> list[float]:
         """Return the increments (3,) of V, alpha and beta that the model expects here."""

@@ -38,9 +38,9 @@ class Parts:
         self.coasts, self.ended, self.clock_overdue = coasts, "", False
         self.decision = None
         self.model = SimpleNamespace(
-            effectiveness=None, coasting=False, rls=SimpleNamespace(innovation=np.zeros(6), trace=0.0),
+            effectiveness=None, coasting=0, rls=SimpleNamespace(innovation=np.zeros(6), trace=0.0),
             coast=self.coast, observe=lambda x: self.note("observe"), answered=lambda x: x,
-            restart_history=lambda missed: self.note(f"model forgets {missed}"),
+            restart_history=self.forget,
             reset=lambda: self.note("model reset"), command=lambda command: self.note("command"),
         )  # fmt: skip
         self.policy = SimpleNamespace(
@@ -64,7 +64,14 @@ class Parts:
     def coast(self):
         self.note("coast")
         self.coasts -= 1
-        return FORETOLD if self.coasts >= 0 else None
+        if self.coasts < 0:
+            return None
+        self.model.coasting += 1
+        return FORETOLD
+
+    def forget(self, missed):
+        self.note(f"model forgets {missed}")
+        self.model.coasting = 0
 
     def steer(self, x, reference):
         self.note("steer")
@@ -162,14 +169,15 @@ def test_a_model_that_can_no_longer_stand_in_is_not_asked_again_until_a_state_ca
     assert asked == [True, True, False, False, True]
 
 
-def test_after_coasting_the_last_samples_are_forgotten():
-    for coasting in (False, True):
-        parts = Parts()
-        loop = parts.flown(LEVEL, LEVEL)
-        parts.model.coasting = coasting
-        parts.done.clear()
-        loop.cycle(Sample(20_000, 1, LEVEL))
-        assert (parts.done[:2] == ["model forgets 0", "policy forgets"]) is coasting
+@pytest.mark.parametrize(("coasted", "forgets"), [(0, []), (10, ["model"]), (11, ["model", "policy"])])
+def test_after_coasting_the_model_forgets_the_last_samples_and_whoever_flies_those_of_long_ago(coasted, forgets):
+    parts = Parts()
+    loop = parts.flown(LEVEL, LEVEL)
+    parts.model.coasting = coasted
+    parts.done.clear()
+    loop.cycle(Sample(20_000, 1, LEVEL))
+    assert [each.split()[0] for each in parts.done if "forgets" in each] == forgets
+    assert parts.done[len(forgets)] == "observe"
 
 
 @pytest.mark.parametrize(
@@ -180,19 +188,45 @@ def test_a_gap_is_less_than_half_or_at_least_one_and_a_half_samples(step, missed
     parts = Parts()
     loop = parts.flown(LEVEL, LEVEL)
     parts.done.clear()
-    health = loop.check(Sample(10_000 + step, 1, LEVEL))
-    assert health == (Health.OK if missed is None else Health.GAP)
-    assert parts.done == ([] if missed is None else [f"model forgets {missed}", "policy forgets"])
-    assert loop.gaps == (missed is not None)
+    loop.cycle(Sample(10_000 + step, 1, LEVEL))
+    asked = ["coast"] * bool(missed)
+    forgotten = [] if missed is None else [f"model forgets {missed}", "policy forgets"]
+    assert parts.done[: len(asked + forgotten) + 1] == [*asked, *forgotten, "observe"]
+    assert loop.health_counts["gap"] == loop.gaps == (missed is not None)
+
+
+@pytest.mark.parametrize(("missed", "shown"), [(1, 1), (10, 10), (11, 0)])
+def test_through_a_short_gap_whoever_flies_is_shown_what_the_model_foretells_and_goes_on(missed, shown):
+    parts = Parts(coasts=100)
+    loop = parts.flown(LEVEL, LEVEL)
+    told = []
+    parts.model.command = lambda command: told.append(float(command[0]))
+    parts.done.clear()
+    loop.cycle(Sample(20_000 + 10_000 * missed, 1, LEVEL))
+    before = ["coast", "steer"] * shown
+    after = ["model forgets 0"] if shown else [f"model forgets {missed}", "policy forgets"]
+    assert parts.done[: len(before + after) + 1] == [*before, *after, "observe"]
+    assert told == [STEERED + PULSE] * (shown + 1)  # the last command was held, and then the new one
+    np.testing.assert_array_equal(parts.seen[0], LEVEL)
+
+
+def test_garbage_after_a_gap_is_answered_from_what_was_known_before_it():
+    parts = Parts(coasts=100)
+    loop = parts.flown(LEVEL, LEVEL)
+    parts.done.clear()
+    loop.cycle(Sample(40_000, 1, NOT_FINITE))
+    missing = ["coast", "steer", "command"]
+    assert parts.done[:9] == [*missing, *missing, "coast", "cast steps", "steer"]
+    assert not [each for each in parts.done if "forgets" in each]
 
 
 def test_states_that_cannot_be_used_are_compared_with_nothing():
     """An attitude before and after them may well differ by what no rate turns it in a sample."""
     parts = Parts()
     loop = parts.flown(LEVEL)
-    assert loop.check(Sample(10_000, 1, NOT_FINITE)) == Health.STATE_NOT_FINITE
+    assert loop.check(Sample(10_000, 1, NOT_FINITE)) == (Health.STATE_NOT_FINITE, None)
     loop = parts.flown(LEVEL)
-    assert loop.check(Sample(10_000, 1, TURNED)) == Health.STATE_JUMPS
+    assert loop.check(Sample(10_000, 1, TURNED)) == (Health.STATE_JUMPS, None)
 
 
 def test_a_sample_that_did_not_come_is_answered_by_the_last_gate_once_there_was_a_command():
