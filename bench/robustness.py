@@ -97,6 +97,8 @@ CASES = {
     "vanes 3 mrad, speed 0.5 m/s": Case(VANES),
     "vanes 3 mrad, speed 0.5 m/s, elevator x -1": Case((*VANES, REVERSED)),
     "vanes 3 mrad, speed 0.5 m/s, commands 150 ms late": Case((*VANES, LATE)),
+    "20 % of states lost": Case(lost=0.2),
+    "20 % of states lost, garbage for 2 s": Case(lost=0.2, garbage=200),
     "elevator x -1, 5 % of states lost": Case((REVERSED,), 0.05),
     "commands 150 ms late, 2 % of states lost": Case((LATE,), 0.02),
     "commands 150 ms late, 5 % of states lost": Case((LATE,), 0.05),
