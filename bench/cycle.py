@@ -21,6 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from runtime import codec
 from runtime.clock import SteppedClock
+from runtime.continuity import Continuity
 from runtime.excitation import Excitation
 from runtime.guard import Guard, Health
 from runtime.identification import IncrementalModel, RecursiveLeastSquares
@@ -33,13 +34,15 @@ from runtime.presets import resolve
 from runtime.rate_filter import N, RateFilters
 from runtime.recorder import Recorder
 from runtime.reference import RecordedReference
+from runtime.state_filter import StateFilter
 from runtime.structured import Effectiveness
 from runtime.switching import Action, Cast, Decision, Reason
 from sim_bridge.codec import Codec
 from task.errors import UserError
 from task.limits import DEFLECTION_LIMIT, DT
-from task.model import N_REGRESSORS
+from task.model import N_REGRESSORS, embed_reduced
 from task.observation import observation
+from task.rates import RATES
 from task.results import Claim, Result, Table, write
 from task.state import N_IDENTIFIED, N_OBSERVATION, STATE
 from understudy import run
@@ -202,6 +205,25 @@ def foretelling(population: Population) -> list[Piece]:
     return [Piece(f"state foretold {late * DT:g} s ahead, where commands are late", lambda: model.answered(x))]
 
 
+def reading(population: Population) -> list[Piece]:
+    """Return what finds out whether a state can be used, and how noisy it is."""
+    x, filtered, continuity, ticks = level(), StateFilter(population.learnt_at, DT), Continuity(), iter(range(10**9))
+    assert population.theta is not None
+    filtered.take(embed_reduced(population.theta))
+    rates, states = np.zeros(RATES), (x.tolist(), (x + 1e-6).tolist())
+
+    def follow() -> None:
+        tick = next(ticks)
+        continuity.broken(states[tick % 2], 10_000 * tick)
+
+    return [
+        Piece(
+            "filter of speed, angles of attack, sideslip, bank, pitch", lambda: filtered.hear(x, rates, rates, ACTION)
+        ),
+        Piece("whether a state can follow the last", follow),
+    ]
+
+
 def acting(population: Population) -> list[Piece]:
     """Return the behavioural policy with bound memory beside a plain session call, and what surrounds it."""
     policy = BehaviouralPolicy(population)
@@ -234,6 +256,8 @@ def whole(population: Population, folder: Path, imagination: Imagination) -> lis
     """Return the log's share and the whole cycle, without a socket and without a play."""
     configuration = resolve("understudy", None, ("t_play=1e6",))
     x, reference = level(), np.zeros(3)
+    onward = x.copy()  # a state that stands still is not flown
+    onward[STATE.xe] += 1.0
     policy = BehaviouralPolicy(population)
     cast = Cast(policy.parameters, population.parameters, population.champion, 0.05)
     model = IncrementalModel(configuration.adaptation, population.command_lag, population.theta, population.p0)
@@ -252,10 +276,11 @@ def whole(population: Population, folder: Path, imagination: Imagination) -> lis
         recorder.cycle(0, 0, x, ACTION, reference, 0.0, 0, Health.OK)
         recorder.innovation(0, innovation, 1.0)
 
-    return [
-        Piece("flight log", record),
-        Piece("the whole cycle but the socket", lambda: loop.cycle(Sample(10_000 * next(ticks), 1, x))),
-    ]
+    def cycle() -> None:
+        tick = next(ticks)
+        loop.cycle(Sample(10_000 * tick, 1, onward if tick % 2 else x))
+
+    return [Piece("flight log", record), Piece("the whole cycle but the socket", cycle)]
 
 
 def per_call(function: Callable[[], object]) -> float:
@@ -298,6 +323,7 @@ def main(population: Path, out: Path) -> None:
                 *learning(),
                 *estimating(cast),
                 *foretelling(cast),
+                *reading(cast),
                 *acting(cast),
                 *whole(cast, Path(folder), imagination),
             ]
