@@ -135,6 +135,8 @@ class IncrementalModel:
 
     BRIDGED = 0.5
     """Longest gap through which the last command is taken to have been held [s]: so long the last gate holds it."""
+    GOES_ON = 0.1
+    """Longest stretch without a state that the model bridged after which other filters go on [s]."""
     COASTS = 3.0
     """For so long the model stands in for states that cannot be used [s]."""
 
@@ -232,7 +234,7 @@ class IncrementalModel:
         now is known; through a longer one, or None, the commands are forgotten too.
         """
         self._states = 0
-        coasted, self._coasting = self._coasting is not None, None
+        coasted, self._coasting = self.coasting, None
         self._dx[:] = 0.0
         if self._filter is not None:
             self._filter.reset()
@@ -246,7 +248,9 @@ class IncrementalModel:
             self._history.restart()
         if self.effectiveness is not None and self.state_filter is not None:
             self.effectiveness.restart_history(commands_known=bridged)
-            self.state_filter.restart(missed if bridged and not coasted else None)
+            gone = coasted + (missed or 0)
+            goes_on = bridged and gone * self._dt <= (self.GOES_ON if coasted else self.BRIDGED)
+            self.state_filter.restart(gone if goes_on else None)
 
     @property
     def alarmed(self) -> bool:

@@ -222,7 +222,8 @@ class Loop:
         be relied upon, and once the model can no longer stand in: until one follows the last, states are then taken as
         they come.
         """
-        bridged = not missed or self.bridge(missed)
+        shown = self.bridge(missed) if missed else 0
+        bridged = shown == (missed or 0)
         if health & DOUBTFUL and not self._lost_track and bridged:
             foretold = self.model.coast()
             if foretold is not None:
@@ -230,26 +231,27 @@ class Loop:
         self._lost_track = bool(health & DOUBTFUL)
         if self.model.coasting or missed is not None:
             coasted = self.model.coasting
-            self.model.restart_history(0 if bridged else missed)
+            self.model.restart_history((missed or 0) - shown)
             if not (bridged and 0 < coasted <= self.SHOWN):
                 self.policy.restart_history()
         return None
 
-    def bridge(self, missed: int) -> bool:
-        """Show whoever flies the states that the model foretells for so many that are missing; return whether it could.
+    def bridge(self, missed: int) -> int:
+        """Show whoever flies the states that the model foretells for so many that are missing; return how many it can.
 
         The last command was held meanwhile. Filters of laws, which a gap would start anew, go on.
         """
         if missed > self.SHOWN:
-            return False
-        for _ in range(missed):
+            return 0
+        for shown in range(missed):
             foretold = self.model.coast()
             if foretold is None:
-                return False
-            self.policy.steer(_whole(foretold), self.reference.at(1e-6 * (self.last.time_usec - self._zero_usec)))
+                return shown
+            usec = self.last.time_usec - self._zero_usec + (shown + 1) * self._dt_us
+            self.policy.steer(_whole(foretold), self.reference.at(1e-6 * usec))
             self.model.command(self._sent)
             self.policy.sent(self._sent)
-        return True
+        return missed
 
     def recover(self, sample: Sample, error: Exception) -> Answer:
         """Go on after a defect of the runtime: say it, forget what was learnt, hold the last good command."""
