@@ -119,3 +119,19 @@ def test_through_a_short_gap_the_last_command_is_taken_to_have_been_held(missed,
         np.testing.assert_array_equal(commands[len(commands) - 2 - held : -2], np.tile(last, (held, 1)))
     else:
         np.testing.assert_array_equal(commands, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("coasted", "missed", "gone"), [(0, 30, 30), (4, 0, 4), (4, 6, 10), (5, 6, None), (11, 0, None)]
+)
+def test_other_filters_go_on_through_short_stretches_that_the_model_bridged(monkeypatch, coasted, missed, gone):
+    model, _ = model_that_believes(0.05)
+    for _ in range(coasted):
+        model.command(np.zeros(N_ACTION))
+        assert model.coast() is not None
+    assert model.coasting == coasted
+    told = []
+    monkeypatch.setattr(model.state_filter, "restart", told.append)
+    model.restart_history(missed)
+    assert told == [gone]
+    assert model.coasting == 0

@@ -210,6 +210,19 @@ def test_through_a_short_gap_whoever_flies_is_shown_what_the_model_foretells_and
     np.testing.assert_array_equal(parts.seen[0], LEVEL)
 
 
+def test_a_gap_that_is_bridged_in_part_counts_its_commands_once_and_its_time_goes_on():
+    parts = Parts(coasts=2)
+    loop, times = parts.flown(LEVEL, LEVEL), []
+    steer = parts.policy.steer
+    parts.policy.steer = lambda x, reference: (times.append(float(reference[0])), steer(x, reference))[1]
+    parts.done.clear()
+    loop.cycle(Sample(50_000, 1, LEVEL))  # three are missing
+    assert parts.done.count("coast") == 3
+    assert "model forgets 1" in parts.done
+    assert "policy forgets" in parts.done
+    np.testing.assert_allclose(times, [0.02, 0.03, 0.05])
+
+
 def test_garbage_after_a_gap_is_answered_from_what_was_known_before_it():
     parts = Parts(coasts=100)
     loop = parts.flown(LEVEL, LEVEL)
