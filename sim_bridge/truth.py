@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from task.errors import UserError
+from task.files import atomic
 from task.state import N_ACTION, N_STATE
 
 
@@ -93,16 +94,8 @@ class Truth:
 
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file whole or not at all, whatever interrupts it. Raises UserError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            write(file)
-        temporary.replace(path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
-        raise
+    with atomic(path) as file:
+        write(file)
 
 
 def prepare(path: Path) -> None:
